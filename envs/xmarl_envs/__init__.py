@@ -1,0 +1,28 @@
+"""The blind tasks of Kailas, Jain and Ravichandar (ICML 2025) on rigid-body physics, for PettingZoo."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from xmarl_envs.blind_discovery_v0 import BlindDiscovery
+from xmarl_envs.blind_navigation_v0 import BlindNavigation
+from xmarl_envs.blind_passage_v0 import BlindPassage
+from xmarl_envs.parallel import TaskParallelEnv
+from xmarl_envs.task import Layout, Outcome, State, Task
+from xmarl_envs.vector_env import Step, VectorEnv
+
+TASKS: dict[str, type[Task]] = {
+    task.name: task for task in (BlindNavigation, BlindPassage, BlindDiscovery)
+}
+
+__all__ = [
+    "TASKS", "BlindDiscovery", "BlindNavigation", "BlindPassage", "Layout", "Outcome", "State", "Step",
+    "Task", "TaskParallelEnv", "VectorEnv", "make_task",
+]  # fmt: skip
+
+
+def make_task(name: str, n_agents: int = 3, **options: Any) -> Task:
+    """The rules of a task by name. Raises ValueError for a name that is not one of `TASKS`."""
+    if name not in TASKS:
+        raise ValueError(f"unknown task {name!r}: choose one of {', '.join(TASKS)}.")
+    return TASKS[name](n_agents=n_agents, **options)

@@ -1,0 +1,156 @@
+"""The PettingZoo face of a task: a ParallelEnv over a vector environment of one episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils import parallel_to_aec, wrappers
+
+from xmarl_envs.render import Renderer
+from xmarl_envs.task import Task
+from xmarl_envs.vector_env import VectorEnv
+
+Array = NDArray[np.float32]
+
+
+class TaskParallelEnv(ParallelEnv[str, Array, Array]):
+    """One episode of `task` at a time, after PettingZoo's Parallel API.
+
+    Observations are float32 (obs_dim,); actions Box(-1, 1, (2,)); `state()` is all observations in agent
+    order, (N * obs_dim,), for centralised critics. Each agent's info holds `at_goal` (discovery: `found`),
+    `agent_collision` and `object_collision` of the step just taken.
+
+    Raises ValueError for actions that are missing, not finite or of another shape.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "is_parallelizable": True}
+
+    def __init__(self, task: Task, max_cycles: int | None = None, render_mode: str | None = None) -> None:
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            raise ValueError(f"render_mode must be one of {modes} or None, got {render_mode!r}.")
+        self.metadata = {**self.metadata, "name": task.name, "render_fps": 20}  # type: ignore[misc]
+        self.task = task
+        self.render_mode = render_mode
+        self._vector = VectorEnv(task, n_episodes=1, max_cycles=max_cycles)
+        self._renderer: Renderer | None = None
+        self._seeds = np.random.default_rng()
+        self.possible_agents = [f"agent_{i}" for i in range(task.n_agents)]
+        self.agents: list[str] = []
+        box = spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
+        self.observation_spaces = {agent: box for agent in self.possible_agents}
+        self.action_spaces = {agent: spaces.Box(-1.0, 1.0, (2,), np.float32) for agent in self.possible_agents}
+        self.state_space = spaces.Box(-np.inf, np.inf, (task.n_agents * task.obs_dim,), np.float32)
+
+    @property
+    def max_cycles(self) -> int:
+        return self._vector.max_cycles
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
+        """Begin an episode. The same seed gives the same episode; without one, the next of a random row."""
+        if seed is not None:
+            self._seeds = np.random.default_rng(seed)
+            episode_seed = seed
+        else:
+            episode_seed = int(self._seeds.integers(2**32))
+        self.agents = list(self.possible_agents)
+        observation = self._vector.reset([episode_seed])[0]
+        if self.render_mode == "human":
+            self.render()
+        return self._by_agent(observation), {agent: {} for agent in self.agents}
+
+    def step(
+        self, actions: dict[str, Array]
+    ) -> tuple[
+        dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
+    ]:
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        missing = [agent for agent in self.agents if agent not in actions]
+        if missing:
+            raise ValueError(f"every live agent needs an action, none was given for {', '.join(missing)}.")
+        step = self._vector.step(np.stack([np.asarray(actions[agent]) for agent in self.agents])[None])
+        agents = self.agents
+        terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
+        infos: dict[str, dict[str, Any]] = {
+            agent: {
+                self.task.success_key: bool(step.success[0, i]),
+                "agent_collision": bool(step.agent_collision[0, i]),
+                "object_collision": bool(step.object_collision[0, i]),
+            }
+            for i, agent in enumerate(agents)
+        }
+        result = (
+            self._by_agent(step.observation[0]),
+            {agent: float(reward) for agent, reward in zip(agents, step.reward[0], strict=True)},
+            {agent: terminated for agent in agents},
+            {agent: truncated for agent in agents},
+            infos,
+        )
+        if terminated or truncated:
+            self.agents = []
+        if self.render_mode == "human":
+            self.render()
+        return result
+
+    def state(self) -> Array:
+        return self._vector.observe()[0].reshape(-1)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """(H, W, 3) uint8 with render_mode="rgb_array"; draws in a window with "human"."""
+        if self.render_mode is None:
+            raise ValueError('nothing to render: make the environment with render_mode="human" or "rgb_array".')
+        if self._renderer is None:
+            self._renderer = Renderer(self.task, window=self.render_mode == "human")
+        return self._renderer.draw(self._vector.state, episode=0)
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _by_agent(self, observation: Array) -> dict[str, Array]:
+        return dict(zip(self.possible_agents, observation, strict=True))
+
+
+class Constructors(NamedTuple):
+    """The three constructors of a PettingZoo module."""
+
+    parallel_env: Callable[..., TaskParallelEnv]
+    env: Callable[..., AECEnv[str, Array, Array]]
+    raw_env: Callable[..., AECEnv[str, Array, Array]]
+
+
+def make_constructors(task_class: type[Task]) -> Constructors:
+    """`parallel_env`, `env` and `raw_env` of a task, after PettingZoo's conventions.
+
+    Each takes n_agents=3, max_cycles=None (the task's own), render_mode=None and the task's options.
+    """
+
+    def parallel_env(
+        n_agents: int = 3, max_cycles: int | None = None, render_mode: str | None = None, **options: Any
+    ) -> TaskParallelEnv:
+        return TaskParallelEnv(task_class(n_agents=n_agents, **options), max_cycles, render_mode)
+
+    def raw_env(**kwargs: Any) -> AECEnv[str, Array, Array]:
+        return parallel_to_aec(parallel_env(**kwargs))
+
+    def env(**kwargs: Any) -> AECEnv[str, Array, Array]:
+        return wrappers.OrderEnforcingWrapper(raw_env(**kwargs))
+
+    for constructor in (parallel_env, raw_env, env):
+        constructor.__doc__ = f"{constructor.__name__} of {task_class.__name__}; see the module's docstring."
+    return Constructors(parallel_env, env, raw_env)

@@ -1,0 +1,120 @@
+"""What a task is: rules over arrays of many episodes, and nothing of physics engines, APIs or drawing.
+
+Shapes stand on every field: B episodes, N agents, T targets (goals or landmarks), W wall boxes.
+Lengths are metres, times seconds, velocities m/s; angles do not exist (discs do not rotate).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+class Layout(NamedTuple):
+    """Where an episode begins."""
+
+    agents: Floats  # (N, 2) m
+    targets: Floats  # (T, 2) m
+    walls: Floats  # (W, 2) m, centres of the wall boxes
+
+
+class State(NamedTuple):
+    """What B episodes look like at one moment."""
+
+    position: Floats  # (B, N, 2) m
+    velocity: Floats  # (B, N, 2) m/s
+    targets: Floats  # (B, T, 2) m
+    walls: Floats  # (B, W, 2) m
+
+
+class Outcome(NamedTuple):
+    """What one step brought."""
+
+    reward: Floats  # (B, N)
+    done: Bools  # (B,) the team is done
+    success: Bools  # (B, N) at its goal (discovery: the landmark is found)
+    object_collision: Bools  # (B, N) touches a wall
+
+
+@dataclass(frozen=True)
+class Task(ABC):
+    """Rules of one task for a team of `n_agents`. Stateless: every method is a function of its arguments."""
+
+    n_agents: int = 3
+
+    name: ClassVar[str]
+    observation_names: ClassVar[tuple[str, ...]]  # one name per entry of an observation
+    default_max_cycles: ClassVar[int]
+    radius: ClassVar[float]  # m
+    u_mult: ClassVar[float]  # N per unit of action
+    collision_gap: ClassVar[float]  # m; surfaces nearer than this collide
+    success_key: ClassVar[str]  # the name of `success` in a step's info
+    wall_size: ClassVar[tuple[float, float]] = (0.0, 0.0)  # m, of each wall box
+    n_walls: ClassVar[int] = 0
+    max_agents: ClassVar[int] = 64
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.n_agents <= self.max_agents:
+            raise ValueError(
+                f"{self.name} takes 1 to {self.max_agents} agents, got n_agents={self.n_agents}: "
+                f"choose a number in that range."
+            )
+
+    @property
+    def obs_dim(self) -> int:
+        return len(self.observation_names)
+
+    @property
+    def spawn_half_width(self) -> float:
+        """m. Above 8 agents the square grows so that the density stays that of 8."""
+        return max(1.0, float(np.sqrt(self.n_agents / 8)))
+
+    @property
+    def bound(self) -> float | None:
+        """m. Centres stay within [-bound, bound]^2; None where the plane is open."""
+        return None
+
+    @abstractmethod
+    def spawn(self, rng: np.random.Generator) -> Layout:
+        """Draw where an episode begins; all randomness of an episode is here."""
+
+    @abstractmethod
+    def observe(self, state: State) -> Floats:
+        """(B, N, obs_dim): what each agent sees. Nothing of any other agent."""
+
+    @abstractmethod
+    def judge(self, before: Floats, state: State, contacts: Floats) -> Outcome:
+        """Reward and ending of a step.
+
+        before: (B, N, 2) positions before the step; contacts: (B, N) colliding partners of each agent.
+        """
+
+
+def distance(a: Floats, b: Floats) -> Floats:
+    """(..., 2), (..., 2) -> (...) Euclidean distance. Written out: the same bits whatever the batch."""
+    dx = a[..., 0] - b[..., 0]
+    dy = a[..., 1] - b[..., 1]
+    return np.asarray(np.sqrt(dx * dx + dy * dy))
+
+
+def scatter(rng: np.random.Generator, n_points: int, half_width: float, spacing: float) -> Floats:
+    """(n_points, 2) uniform in the square, pairwise at least `spacing` apart (each drawn until it fits).
+
+    Raises RuntimeError where the square is too crowded for that.
+    """
+    points = np.empty((n_points, 2))
+    for k in range(n_points):
+        for _ in range(10_000):
+            points[k] = rng.uniform(-half_width, half_width, 2)
+            if k == 0 or distance(points[:k], points[k]).min() >= spacing:
+                break
+        else:
+            raise RuntimeError(f"no room for {n_points} points {spacing} m apart in a square of {half_width} m")
+    return points

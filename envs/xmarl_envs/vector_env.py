@@ -1,0 +1,112 @@
+"""Many episodes of one task, stepped together. Training and scoring both run on this class,
+and the PettingZoo shell is this class with one episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xmarl_envs.task import Bools, Floats, State, Task, distance
+from xmarl_envs.world import World
+
+
+class Step(NamedTuple):
+    """What a step returns, for all B episodes."""
+
+    observation: NDArray[np.float32]  # (B, N, D)
+    reward: Floats  # (B, N)
+    terminated: Bools  # (B,) the team is done
+    truncated: Bools  # (B,) max_cycles are over and the team is not done
+    success: Bools  # (B, N)
+    agent_collision: Bools  # (B, N)
+    object_collision: Bools  # (B, N)
+
+
+class VectorEnv:
+    """B episodes of `task`, each reset when its owner says so.
+
+    Args:
+        task: the rules, e.g. `BlindNavigation(n_agents=3)`.
+        n_episodes: B.
+        max_cycles: steps until truncation; the task's own number by default.
+        copies_per_space: 1 (each episode its own physics, repeats bit for bit) or more (faster, for training).
+    """
+
+    def __init__(
+        self, task: Task, n_episodes: int = 1, max_cycles: int | None = None, copies_per_space: int = 1
+    ) -> None:
+        self.task = task
+        self.n_episodes = n_episodes
+        self.max_cycles = task.default_max_cycles if max_cycles is None else max_cycles
+        if self.max_cycles < 1:
+            raise ValueError(f"max_cycles must be at least 1, got {max_cycles}.")
+        self.world = World(task, n_episodes, copies_per_space)
+        self.cycles: NDArray[np.int64] = np.zeros(n_episodes, dtype=np.int64)
+        n_agents = task.n_agents
+        probe = task.spawn(np.random.default_rng(0))
+        self._targets: Floats = np.zeros((n_episodes, *probe.targets.shape))
+        self._walls: Floats = np.zeros((n_episodes, *probe.walls.shape))
+        self._first, self._second = np.triu_indices(n_agents, k=1)
+        pairs = np.arange(self._first.size)
+        # (pairs, N): which agents a pair is made of; a boolean (B, pairs) times it counts partners.
+        self._incidence: Floats = np.zeros((self._first.size, n_agents))
+        self._incidence[pairs, self._first] = 1.0
+        self._incidence[pairs, self._second] = 1.0
+
+    @property
+    def state(self) -> State:
+        """Views, not copies: the next step overwrites positions and velocities."""
+        return State(self.world.position, self.world.velocity, self._targets, self._walls)
+
+    def reset(self, seeds: Sequence[int], episodes: ArrayLike | None = None) -> NDArray[np.float32]:
+        """Begin the given episodes (all by default), one seed each; returns all observations (B, N, D).
+
+        An episode depends on its seed and on the actions taken in it, and on nothing else.
+        """
+        which = np.arange(self.n_episodes) if episodes is None else np.atleast_1d(np.asarray(episodes))
+        if len(seeds) != which.size:
+            raise ValueError(f"one seed per episode is needed: got {len(seeds)} seeds for {which.size} episodes.")
+        if which.size:
+            layouts = [self.task.spawn(np.random.default_rng(seed)) for seed in seeds]
+            self._targets[which] = [layout.targets for layout in layouts]
+            self._walls[which] = [layout.walls for layout in layouts]
+            agents = np.array([layout.agents for layout in layouts])
+            self.world.place(which, agents, self._walls[which])
+            self.cycles[which] = 0
+        return self.observe()
+
+    def observe(self) -> NDArray[np.float32]:
+        return self.task.observe(self.state).astype(np.float32)
+
+    def step(self, action: NDArray[np.floating], live: Bools | None = None) -> Step:
+        """Apply actions (B, N, 2), clipped to [-1, 1], for one cycle of 0.1 s.
+
+        live: (B,) episodes that still matter; the others may be left unmoved, and their results mean nothing.
+        """
+        expected = (self.n_episodes, self.task.n_agents, 2)
+        if action.shape != expected:
+            raise ValueError(f"actions must have shape {expected}, got {action.shape}.")
+        if not np.isfinite(action).all():
+            raise ValueError(f"actions of {self.task.name} must be finite numbers, got NaN or infinity.")
+        before = self.world.position.copy()
+        force = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0) * self.task.u_mult
+        self.world.step(force, live)
+        self.cycles += 1
+        position = self.world.position
+        near = distance(position[:, self._first], position[:, self._second])
+        touching = near <= 2 * self.task.radius + self.task.collision_gap
+        contacts = touching.astype(np.float64) @ self._incidence
+        outcome = self.task.judge(before, self.state, contacts)
+        return Step(
+            observation=self.observe(),
+            reward=outcome.reward,
+            terminated=outcome.done,
+            truncated=(self.cycles >= self.max_cycles) & ~outcome.done,
+            success=outcome.success,
+            agent_collision=contacts > 0,
+            object_collision=outcome.object_collision,
+        )

@@ -1,0 +1,109 @@
+"""The graph-attention policy and its masked forward F(m).
+
+S is the number of timesteps (or any batch), N agents, D observation entries, W the layer's width,
+A action entries. `mask[s, i, j]` scales the message on edge j -> i (sender j, receiver i).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+from torch_geometric.nn import GATv2Conv
+
+from xmarl_bench.policy.architecture import Architecture
+
+ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
+SCALE_BIAS = math.log(math.e - 1.0)  # softplus(0 + SCALE_BIAS) = 1, as TorchRL's "biased_softplus_1.0"
+MIN_SCALE = 1e-4
+
+
+class ActionDistribution(NamedTuple):
+    """A TanhNormal per agent and action entry: tanh of a Normal(loc, scale)."""
+
+    loc: Tensor  # (..., N, A)
+    scale: Tensor  # (..., N, A), positive
+
+    @property
+    def action(self) -> Tensor:
+        """(..., N, A) in (-1, 1): the deterministic action tanh(loc), what the metrics compare."""
+        return torch.tanh(self.loc)
+
+
+class Prepared(NamedTuple):
+    """What of a forward pass does not depend on the mask: computed once, used for every mask."""
+
+    attention: Tensor  # (S, N, N), rows sum to 1: attention[s, i, j] of receiver i to sender j
+    message: Tensor  # (S, N, W): W x_j of sender j
+
+
+class GraphPolicy(nn.Module):
+    """One graph-attention policy, shared by all agents of a team of any size.
+
+    The layer is torch_geometric's GATv2Conv, so that PyG's explainers run on `forward`; the batched path
+    `prepare` / `decode` computes the same numbers from the same parameters on the complete graph with
+    self loops, for many timesteps and masks at once.
+    """
+
+    def __init__(self, architecture: Architecture) -> None:
+        super().__init__()
+        self.architecture = a = architecture
+        self.encoder = _mlp((a.obs_dim, *a.encoder), a.encoder_activation)
+        encoded = a.encoder[-1] if a.encoder else a.obs_dim
+        # Loops are explicit edges of the graph: with add_self_loops=True PyG would re-order them,
+        # and read an explainer's mask in another order than the caller's, silently.
+        self.gat = GATv2Conv(encoded, a.gat_width, heads=1, add_self_loops=False)
+        self.gat_activation = ACTIVATIONS[a.gat_activation]()
+        self.decoder = nn.Sequential(
+            *_mlp((a.gat_width, *a.decoder), a.decoder_activation),
+            nn.Linear(a.decoder[-1] if a.decoder else a.gat_width, 2 * a.action_dim),
+        )
+
+    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        """(n, D), (2, edges) -> (n, A) deterministic actions, by PyG's message passing on any graph."""
+        hidden = self.gat(self.encoder(x), edge_index)
+        return self._head(hidden).action
+
+    def prepare(self, observation: Tensor) -> Prepared:
+        """(S, N, D) -> attention and messages on the complete graph with self loops."""
+        x = self.encoder(observation)
+        message = self.gat.lin_l(x)
+        receiver = self.gat.lin_r(x)
+        pair = F.leaky_relu(receiver[:, :, None] + message[:, None, :], self.gat.negative_slope)
+        attention = torch.softmax(pair @ self.gat.att.view(-1), dim=-1)
+        return Prepared(attention, message)
+
+    def decode(self, prepared: Prepared, mask: Tensor | None = None) -> ActionDistribution:
+        """F(m): h_i = sum_j m_ij alpha_ij W x_j + b, nothing renormalised, then the decoder.
+
+        mask: (..., S, N, N) in [0, 1], any leading axes; None is the mask of ones.
+        """
+        weight = prepared.attention if mask is None else prepared.attention * mask
+        return self._head(weight @ prepared.message + self.gat.bias)
+
+    def distribution(self, observation: Tensor, mask: Tensor | None = None) -> ActionDistribution:
+        """(S, N, D) observations -> the action distributions under the mask."""
+        return self.decode(self.prepare(observation), mask)
+
+    def _head(self, hidden: Tensor) -> ActionDistribution:
+        loc, raw_scale = self.decoder(self.gat_activation(hidden)).chunk(2, dim=-1)
+        return ActionDistribution(loc, F.softplus(raw_scale + SCALE_BIAS).clamp_min(MIN_SCALE))
+
+
+def complete_graph(n_agents: int) -> Tensor:
+    """(2, N * N) edges of the complete graph with self loops, row-major by receiver.
+
+    Edge number i * N + j is j -> i, so an edge mask of PyG reshaped to (N, N) is our mask.
+    """
+    receiver, sender = torch.meshgrid(torch.arange(n_agents), torch.arange(n_agents), indexing="ij")
+    return torch.stack([sender.reshape(-1), receiver.reshape(-1)])
+
+
+def _mlp(widths: tuple[int, ...], activation: str) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for n_in, n_out in zip(widths[:-1], widths[1:], strict=True):
+        layers += [nn.Linear(n_in, n_out), ACTIVATIONS[activation]()]
+    return nn.Sequential(*layers)

@@ -79,8 +79,10 @@ def roll_out(
 @torch.inference_mode()
 def act(policy: GraphPolicy, observation: NDArray[np.float32], mask: Tensor | None = None) -> NDArray[np.float32]:
     """(N, D) -> (N, A): the deterministic action of one team at one moment."""
-    action: NDArray[np.float32] = policy.distribution(torch.from_numpy(observation)[None], mask).action[0].numpy()
-    return action
+    # A copy, not a view: matrix products also round differently by the alignment of their memory,
+    # and torch aligns what it allocates itself.
+    x = torch.tensor(observation)[None]
+    return np.asarray(policy.distribution(x, mask).action[0].numpy())
 
 
 class _Recorder:

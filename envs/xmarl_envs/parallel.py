@@ -44,12 +44,18 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):
         self.agents: list[str] = []
         box = spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
         self.observation_spaces = {agent: box for agent in self.possible_agents}
-        self.action_spaces = {agent: spaces.Box(-1.0, 1.0, (2,), np.float32) for agent in self.possible_agents}
+        self.action_spaces = {
+            agent: spaces.Box(-1.0, 1.0, (2,), np.float32) for agent in self.possible_agents
+        }
         self.state_space = spaces.Box(-np.inf, np.inf, (task.n_agents * task.obs_dim,), np.float32)
 
     @property
     def max_cycles(self) -> int:
         return self._vector.max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, cycles: int) -> None:  # PettingZoo's own parallel_api_test sets it
+        self._vector.max_cycles = cycles
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         return self.observation_spaces[agent]
@@ -82,8 +88,8 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):
         missing = [agent for agent in self.agents if agent not in actions]
         if missing:
             raise ValueError(f"every live agent needs an action, none was given for {', '.join(missing)}.")
-        step = self._vector.step(np.stack([np.asarray(actions[agent]) for agent in self.agents])[None])
         agents = self.agents
+        step = self._vector.step(np.stack([self._action(agent, actions[agent]) for agent in agents])[None])
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         infos: dict[str, dict[str, Any]] = {
             agent: {
@@ -112,7 +118,9 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):
     def render(self) -> NDArray[np.uint8] | None:
         """(H, W, 3) uint8 with render_mode="rgb_array"; draws in a window with "human"."""
         if self.render_mode is None:
-            raise ValueError('nothing to render: make the environment with render_mode="human" or "rgb_array".')
+            raise ValueError(
+                'nothing to render: make the environment with render_mode="human" or "rgb_array".'
+            )
         if self._renderer is None:
             self._renderer = Renderer(self.task, window=self.render_mode == "human")
         return self._renderer.draw(self._vector.state, episode=0)
@@ -121,6 +129,12 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+    def _action(self, agent: str, action: Array) -> Array:
+        action = np.asarray(action)
+        if action.shape != (2,):
+            raise ValueError(f"the action of {agent} must have shape (2,), got {action.shape}.")
+        return action
 
     def _by_agent(self, observation: Array) -> dict[str, Array]:
         return dict(zip(self.possible_agents, observation, strict=True))

@@ -11,9 +11,7 @@ from xmarl_envs.parallel import TaskParallelEnv
 from xmarl_envs.task import Layout, Outcome, State, Task
 from xmarl_envs.vector_env import Step, VectorEnv
 
-TASKS: dict[str, type[Task]] = {
-    task.name: task for task in (BlindNavigation, BlindPassage, BlindDiscovery)
-}
+TASKS: dict[str, type[Task]] = {task.name: task for task in (BlindNavigation, BlindPassage, BlindDiscovery)}
 
 __all__ = [
     "TASKS", "BlindDiscovery", "BlindNavigation", "BlindPassage", "Layout", "Outcome", "State", "Step",

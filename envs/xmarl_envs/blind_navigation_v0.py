@@ -5,8 +5,8 @@
 | Agents | `agent_0` ... `agent_{N-1}`, discs of radius 0.1 m and mass 1 kg |
 | Action | Box(-1, 1, (2,)): force in newton |
 | Observation | (6,): position (m), velocity (m/s), position - goal (m) |
-| Start | agents and goals uniform in a square of half-width 1 m (sqrt(N / 8) above N = 8), pairwise >= 0.25 m |
-| Reward | sum over the team of distance gained (m), + 0.01 when all are at their goals, - 1 per colliding partner |
+| Start | agents, goals uniform in a square of half-width 1 m (sqrt(N / 8) above N = 8), pairwise >= 0.25 m |
+| Reward | the team's sum of distance gained (m), + 0.01 when all are at goal, - 1 per colliding partner |
 | Collision | surfaces within 0.005 m |
 | Done | all agents within 0.1 m of their goals; truncated after 400 cycles of 0.1 s |
 

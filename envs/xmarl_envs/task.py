@@ -116,5 +116,5 @@ def scatter(rng: np.random.Generator, n_points: int, half_width: float, spacing:
             if k == 0 or distance(points[:k], points[k]).min() >= spacing:
                 break
         else:
-            raise RuntimeError(f"no room for {n_points} points {spacing} m apart in a square of {half_width} m")
+            raise RuntimeError(f"no room for {n_points} points {spacing} m apart within +-{half_width} m")
     return points

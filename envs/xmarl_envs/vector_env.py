@@ -33,7 +33,7 @@ class VectorEnv:
         task: the rules, e.g. `BlindNavigation(n_agents=3)`.
         n_episodes: B.
         max_cycles: steps until truncation; the task's own number by default.
-        copies_per_space: 1 (each episode its own physics, repeats bit for bit) or more (faster, for training).
+        copies_per_space: 1 (each episode its own physics, repeats bit for bit) or more (faster: training).
     """
 
     def __init__(
@@ -69,7 +69,9 @@ class VectorEnv:
         """
         which = np.arange(self.n_episodes) if episodes is None else np.atleast_1d(np.asarray(episodes))
         if len(seeds) != which.size:
-            raise ValueError(f"one seed per episode is needed: got {len(seeds)} seeds for {which.size} episodes.")
+            raise ValueError(
+                f"each episode needs one seed: got {len(seeds)} seeds for {which.size} episodes."
+            )
         if which.size:
             layouts = [self.task.spawn(np.random.default_rng(seed)) for seed in seeds]
             self._targets[which] = [layout.targets for layout in layouts]

@@ -30,7 +30,7 @@ class World:
     def __init__(self, task: Task, n_episodes: int, copies_per_space: int = 1) -> None:
         if n_episodes < 1 or copies_per_space < 1:
             raise ValueError(
-                f"n_episodes and copies_per_space must be at least 1, got {n_episodes} and {copies_per_space}."
+                f"n_episodes and copies_per_space must be at least 1, got {n_episodes}, {copies_per_space}."
             )
         self.task = task
         self.n_episodes = n_episodes
@@ -106,7 +106,8 @@ class _Chamber:
 
     def _add_border(self, x: float, y: float, half_width: float) -> None:
         reach = half_width + BORDER_THICKNESS
-        corners = [(x - reach, y - reach), (x + reach, y - reach), (x + reach, y + reach), (x - reach, y + reach)]
+        signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        corners = [(x + sx * reach, y + sy * reach) for sx, sy in signs]
         for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
             self._space.add(_frictionless(pymunk.Segment(self._space.static_body, a, b, BORDER_THICKNESS)))
 
@@ -128,7 +129,7 @@ class _Chamber:
             self._space.step(TIME_STEP / SUBSTEPS)
         self._state_buffer.clear()
         get_space_bodies(self._space, BodyFields.POSITION | BodyFields.VELOCITY, self._state_buffer)
-        # Read through pymunk's own memory: it reallocates the buffer while it fills it, so an alias is unsafe.
+        # Read through pymunk's own memory: it reallocates the buffer while filling it, so no alias is safe.
         state = np.frombuffer(self._state_buffer.float_buf(), dtype=np.float64).reshape(-1, 4)
         return state[: len(self._discs)].reshape(self._n_copies, self._n_agents, 4)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec, wrappers
 
-from xmarl_envs.render import Renderer
 from xmarl_envs.task import Task
 from xmarl_envs.vector_env import VectorEnv
+
+if TYPE_CHECKING:
+    from xmarl_envs.render import Renderer
 
 Array = NDArray[np.float32]
 
@@ -122,6 +124,9 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):
                 'nothing to render: make the environment with render_mode="human" or "rgb_array".'
             )
         if self._renderer is None:
+            # Here, not above: pygame is slow to import and greets on standard output.
+            from xmarl_envs.render import Renderer
+
             self._renderer = Renderer(self.task, window=self.render_mode == "human")
         return self._renderer.draw(self._vector.state, episode=0)
 

@@ -1,0 +1,103 @@
+"""Actor and centralised critic as one stable-baselines3 policy: the actor is the policy that is scored."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.type_aliases import Schedule
+from torch import Tensor, nn
+from torch.distributions import Normal
+from torch.nn import functional as F
+from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
+
+SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 cannot tell them apart beyond
+
+
+class Evaluation(NamedTuple):
+    """What a PPO update needs of a batch of B team-steps."""
+
+    log_prob: Tensor  # (B, N)
+    entropy: Tensor  # (), of the TanhNormal, one sample per action
+    attention_entropy: Tensor  # (), nats, mean over agents and batch
+
+
+class TeamPolicy(ActorCriticPolicy):
+    """Observations (B, N, D) -> actions (B, N, 2), values (B, N), log-probabilities (B, N).
+
+    `actor` is a GraphPolicy, the same for all agents; `critic` is an MLP on all observations of the team with
+    one output per agent (MAPPO: Yu et al. 2022, "The Surprising Effectiveness of PPO in Cooperative MARL").
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+        lr_schedule: Schedule,
+        *,
+        architecture: dict[str, Any],
+        critic: tuple[int, ...],
+        **kwargs: Any,
+    ) -> None:
+        self._architecture, self._critic = architecture, critic
+        super().__init__(observation_space, action_space, lr_schedule, **kwargs)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return {**super()._get_constructor_parameters(), "architecture": self._architecture, "critic": self._critic}
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        assert isinstance(self.observation_space, spaces.Box)
+        n_agents, obs_dim = self.observation_space.shape
+        self.actor = GraphPolicy(Architecture.model_validate({**self._architecture, "obs_dim": obs_dim}))
+        widths = (n_agents * obs_dim, *self._critic)
+        layers: list[nn.Module] = []
+        for n_in, n_out in zip(widths[:-1], widths[1:], strict=True):
+            layers += [nn.Linear(n_in, n_out), nn.Tanh()]
+        self.critic = nn.Sequential(*layers, nn.Linear(widths[-1], n_agents))
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+
+    def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+        distribution = self.actor.distribution(obs)
+        raw = distribution.loc if deterministic else torch.normal(distribution.loc, distribution.scale)
+        action = torch.tanh(raw).clamp(-SATURATION, SATURATION)
+        return action, self.predict_values(obs), log_prob(distribution, action)
+
+    def predict_values(self, obs: Tensor) -> Tensor:  # type: ignore[override]
+        values: Tensor = self.critic(obs.flatten(start_dim=-2))
+        return values
+
+    def evaluate(self, obs: Tensor, action: Tensor) -> Evaluation:
+        """The update's view of actions taken before; values come from `predict_values`."""
+        prepared = self.actor.prepare(obs)
+        distribution = self.actor.decode(prepared)
+        normal = Normal(distribution.loc, distribution.scale, validate_args=False)
+        # Differential entropy of the TanhNormal: the Normal's plus the mean log-slope of tanh.
+        entropy = (normal.entropy() + _log_slope(normal.rsample())).sum(dim=-1).mean()
+        attention = prepared.attention
+        attention_entropy = torch.special.entr(attention).sum(dim=-1).mean()
+        return Evaluation(log_prob(distribution, action), entropy, attention_entropy)
+
+    def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
+        return self(observation, deterministic)[0]
+
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> Any:
+        """(N, D) or (B, N, D) observations -> actions of the same leading axes, as SB3 does for vectors."""
+        obs = torch.as_tensor(np.asarray(observation, dtype=np.float32), device=self.device)
+        with torch.no_grad():
+            action = self._predict(obs if obs.ndim == 3 else obs[None], deterministic)
+        return (action if obs.ndim == 3 else action[0]).cpu().numpy(), state
+
+
+def log_prob(distribution: ActionDistribution, action: Tensor) -> Tensor:
+    """(..., N): log-density of actions in (-1, 1) under the TanhNormal, summed over action entries."""
+    raw = torch.atanh(action)
+    normal = Normal(distribution.loc, distribution.scale, validate_args=False)
+    return (normal.log_prob(raw) - _log_slope(raw)).sum(dim=-1)
+
+
+def _log_slope(raw: Tensor) -> Tensor:
+    """log(1 - tanh(raw)^2), without cancellation."""
+    return 2.0 * (np.log(2.0) - raw - F.softplus(-2.0 * raw))

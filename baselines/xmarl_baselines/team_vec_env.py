@@ -1,0 +1,116 @@
+"""stable-baselines3's view of a task: a VecEnv with one entry per team, not per agent.
+
+Observations (B, N, D), actions (B, N, 2) and rewards (B, N). SB3's VecMonitor and VecNormalize do not take
+rewards per agent; this class reports what they would (`episode`, `truncated_observation`,
+`TimeLimit.truncated`) in the infos itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+from xmarl_envs import Task, VectorEnv
+
+from xmarl_baselines.shaping import Shaping, training_reward
+
+
+class TeamVecEnv(VecEnv):
+    """`n_envs` teams with auto-reset. Copies share pymunk Spaces: fast, equal to rounding between copies.
+
+    Every info of an ended episode holds `episode` (r: the task's own return, mean over agents; l: length),
+    `is_success` (fraction of agents at goal) and `no_agent_collision`.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        n_envs: int,
+        *,
+        seed: int,
+        shaping: Shaping | None = None,
+        max_cycles: int | None = None,
+        copies_per_space: int = 64,
+    ) -> None:
+        observation_space = spaces.Box(-np.inf, np.inf, (task.n_agents, task.obs_dim), np.float32)
+        action_space = spaces.Box(-1.0, 1.0, (task.n_agents, 2), np.float32)
+        super().__init__(n_envs, observation_space, action_space)
+        self.task = task
+        self.shaping = shaping or Shaping()
+        self._env = VectorEnv(task, n_envs, max_cycles, copies_per_space)
+        self._rng = np.random.default_rng(seed)
+        self._actions: NDArray[np.float32] = np.zeros((n_envs, task.n_agents, 2), np.float32)
+        self._started = time.time()
+        self._return = np.zeros(n_envs)
+        self._collided = np.zeros(n_envs, dtype=bool)
+
+    def reset(self) -> NDArray[np.float32]:  # type: ignore[override]
+        observation = self._env.reset(self._draw_seeds(self.num_envs))
+        # Spread first episodes over their length, so that truncations do not come all at once.
+        self._env.cycles[:] = self._rng.integers(0, self._env.max_cycles, self.num_envs)
+        self._return[:] = 0.0
+        self._collided[:] = False
+        return observation
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        self._actions = actions
+
+    def step_wait(  # type: ignore[override]
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        before = self._env.world.position.copy()
+        step = self._env.step(self._actions)
+        reward = training_reward(self.task, self.shaping, before, self._env.state, step).astype(np.float32)
+        self._return += step.reward.mean(axis=-1)
+        self._collided |= step.agent_collision.any(axis=-1)
+        done = step.terminated | step.truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        ended = np.flatnonzero(done)
+        observation = step.observation
+        for k in ended:
+            infos[k] = {
+                "episode": {
+                    "r": float(self._return[k]), "l": int(self._env.cycles[k]), "t": time.time() - self._started,
+                },
+                "is_success": float(step.success[k].mean()),
+                "no_agent_collision": float(not self._collided[k]),
+                "truncated_observation": step.observation[k],
+                "TimeLimit.truncated": bool(step.truncated[k]),
+            }  # fmt: skip
+        if ended.size:
+            observation = self._env.reset(self._draw_seeds(ended.size), ended)
+            self._return[ended] = 0.0
+            self._collided[ended] = False
+        return observation, reward, done, infos
+
+    def close(self) -> None:
+        return None
+
+    def _draw_seeds(self, n: int) -> list[int]:
+        # Training draws below 2**31; scoring's episode seeds lie above.
+        return [int(seed) for seed in self._rng.integers(0, 2**31, n)]
+
+    # What VecEnv asks of its entries; teams live in shared Spaces, so there is one object to ask.
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        return [getattr(self, attr_name)] * len(self._get_indices_list(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        result = getattr(self, method_name)(*method_args, **method_kwargs)
+        return [result] * len(self._get_indices_list(indices))
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        return [False] * len(self._get_indices_list(indices))
+
+    def _get_indices_list(self, indices: VecEnvIndices) -> Sequence[int]:
+        return list(self._get_indices(indices))

@@ -59,12 +59,13 @@ def roll_out(
     action = np.zeros((width, task.n_agents, 2), dtype=np.float32)
     while len(finished) < len(seeds):
         live = np.array([k >= 0 for k in playing])
-        for slot in np.flatnonzero(live):
+        slots = [slot for slot in range(width) if playing[slot] >= 0]
+        for slot in slots:
             action[slot] = act(policy, observation[slot], mask)
             recorders[slot].observations.append(observation[slot])
         step = env.step(action, live)
         observation = step.observation
-        for slot in np.flatnonzero(live):
+        for slot in slots:
             recorders[slot].add(step, slot)
             if step.terminated[slot] or step.truncated[slot]:
                 finished[playing[slot]] = recorders[slot].episode(step, slot)

@@ -51,7 +51,7 @@ class BlindNavigation(Task):
         to_goal = distance(state.position, state.targets)
         gained = distance(before, state.targets) - to_goal
         at_goal = to_goal < self.goal_radius
-        done = at_goal.all(axis=-1)
+        done = np.asarray(at_goal.all(axis=-1))
         team = gained.sum(axis=-1) + self.all_at_goal_reward * done
         reward = team[:, None] - self.collision_penalty * contacts
         return Outcome(reward, done, at_goal, np.zeros_like(at_goal))

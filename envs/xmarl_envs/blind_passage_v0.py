@@ -71,7 +71,7 @@ class BlindPassage(Task):
 
     def gap(self, state: State) -> Floats:
         """(B, 1, 2): the middle of the gap."""
-        return state.walls.mean(axis=1, keepdims=True)
+        return np.asarray(state.walls.mean(axis=1, keepdims=True))
 
     def observe(self, state: State) -> Floats:
         to_goal = state.targets - state.position
@@ -86,7 +86,7 @@ class BlindPassage(Task):
         touches_wall = self.touches_wall(state)
         reward = self.distance_reward * gained - self.collision_penalty * (contacts + touches_wall)
         at_goal = to_goal <= self.radius / 2
-        return Outcome(reward, at_goal.all(axis=-1), at_goal, touches_wall)
+        return Outcome(reward, np.asarray(at_goal.all(axis=-1)), at_goal, touches_wall)
 
     def touches_wall(self, state: State) -> Bools:
         """(B, N): a disc's surface is within `collision_gap` of a wall box."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float32]
 
 
-class TaskParallelEnv(ParallelEnv[str, Array, Array]):
+class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # no py.typed in pettingzoo
     """One episode of `task` at a time, after PettingZoo's Parallel API.
 
     Observations are float32 (obs_dim,); actions Box(-1, 1, (2,)); `state()` is all observations in agent
@@ -115,7 +115,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):
         return result
 
     def state(self) -> Array:
-        return self._vector.observe()[0].reshape(-1)
+        return np.asarray(self._vector.observe()[0].reshape(-1))
 
     def render(self) -> NDArray[np.uint8] | None:
         """(H, W, 3) uint8 with render_mode="rgb_array"; draws in a window with "human"."""

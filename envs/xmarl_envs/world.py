@@ -43,7 +43,7 @@ class World:
         ]
         side = int(np.ceil(np.sqrt(self.copies_per_space)))
         slot = np.arange(self.copies_per_space)
-        self._offset: Floats = COPY_SPACING * np.stack([slot % side, slot // side], axis=1)
+        self._offset: Floats = np.stack([slot % side, slot // side], axis=1).astype(np.float64) * COPY_SPACING
         self._chambers: list[_Chamber | None] = [None] * len(self._blocks)
 
     def place(self, episodes: np.ndarray, agents: Floats, walls: Floats) -> None:

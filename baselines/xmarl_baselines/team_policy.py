@@ -14,6 +14,8 @@ from torch.distributions import Normal
 from torch.nn import functional as F
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
 
+from xmarl_baselines.fast_layers import speed_up
+
 SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 cannot tell them apart beyond
 
 
@@ -52,6 +54,7 @@ class TeamPolicy(ActorCriticPolicy):
         assert isinstance(self.observation_space, spaces.Box)
         n_agents, obs_dim = self.observation_space.shape
         self.actor = GraphPolicy(Architecture.model_validate({**self._architecture, "obs_dim": obs_dim}))
+        speed_up(self.actor)
         widths = (n_agents * obs_dim, *self._critic)
         layers: list[nn.Module] = []
         for n_in, n_out in zip(widths[:-1], widths[1:], strict=True):

@@ -1,0 +1,45 @@
+"""What makes a score a function of its arguments: seeds by name, never by order, and one thread."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+from xmarl_bench.errors import InputError
+
+# Scoring episodes begin above every seed that training draws (below 2**31), and stay below 2**53, where
+# readers of JSON in other languages keep integers exact.
+FIRST_SEED = 10**12
+SEEDS_PER_RUN = 10**6
+
+
+def episode_seeds(seed: int, episodes: int) -> list[int]:
+    """The environment seeds of a scoring run: 10^12 + seed * 10^6 + k for k = 0 .. episodes - 1.
+
+    A run with fewer episodes plays the first ones of a longer run. Raises InputError out of range.
+    """
+    if not 0 <= seed < 10**9:
+        raise InputError(f"seed must be in [0, 10^9), got {seed}: choose a smaller or positive one.")
+    if not 1 <= episodes <= SEEDS_PER_RUN:
+        raise InputError(f"episodes must be in [1, {SEEDS_PER_RUN}], got {episodes}: choose a number in that range.")
+    return [FIRST_SEED + seed * SEEDS_PER_RUN + k for k in range(episodes)]
+
+
+def derived_seed(*parts: int | str) -> int:
+    """A seed in [0, 2^63) from names and numbers, the same in every process and Python version."""
+    digest = hashlib.sha256("\x1f".join(str(part) for part in parts).encode()).digest()
+    return int.from_bytes(digest[:8], "big") >> 1
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """torch on one thread: matrix products round differently when they are split among several."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,58 @@
+"""Scores explainers of multi-agent graph-attention policies. The public API is what `__all__` names.
+
+Names are loaded on first use, so that `xmarl-bench --help` does not wait for torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from xmarl_bench.board import build_board
+    from xmarl_bench.entry import Entry, read_entry, write_entry
+    from xmarl_bench.errors import InputError
+    from xmarl_bench.evaluation import Performance, evaluate
+    from xmarl_bench.explainer import Explainer
+    from xmarl_bench.policy import Architecture, GraphPolicy, PolicyCard, load_policy, save_policy
+    from xmarl_bench.pyg import PygExplain
+    from xmarl_bench.rollout import Episode, roll_out
+    from xmarl_bench.scoring import score
+
+_HOME = {
+    "Architecture": "policy",
+    "Entry": "entry",
+    "Episode": "rollout",
+    "Explainer": "explainer",
+    "GraphPolicy": "policy",
+    "InputError": "errors",
+    "Performance": "evaluation",
+    "PolicyCard": "policy",
+    "PygExplain": "pyg",
+    "build_board": "board",
+    "evaluate": "evaluation",
+    "load_policy": "policy",
+    "read_entry": "entry",
+    "roll_out": "rollout",
+    "save_policy": "policy",
+    "score": "scoring",
+    "write_entry": "entry",
+}
+
+__all__ = [
+    "Architecture", "Entry", "Episode", "Explainer", "GraphPolicy", "InputError", "Performance", "PolicyCard",
+    "PygExplain", "build_board", "evaluate", "load_policy", "read_entry", "roll_out", "save_policy", "score",
+    "write_entry",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'xmarl_bench' has no attribute {name!r}")
+    value = getattr(import_module(f"xmarl_bench.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -28,7 +28,12 @@ def random_mask(policy: GraphPolicy, observations: Tensor, generator: torch.Gene
 CONTROLS: dict[str, Explainer] = {
     control.name: control
     for control in (
-        Explainer("all-ones", ones_mask, "keeps every edge: the ceiling FidDelta cannot tell from truth", control=True),
+        Explainer(
+            "all-ones",
+            ones_mask,
+            "keeps every edge: the ceiling FidDelta cannot tell from truth",
+            control=True,
+        ),
         Explainer("random", random_mask, "uniform random mask: the floor", stochastic=True, control=True),
     )
 }

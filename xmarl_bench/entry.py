@@ -20,8 +20,8 @@ from xmarl_bench.policy import Architecture
 
 PROTOCOL = "xmarl-1"
 DEFINITIONS: dict[str, str] = {
-    "F(m)": "action tanh(loc) in [-1, 1] with the message on edge j -> i scaled by m[i, j] after the softmax, "
-    "nothing renormalised",
+    "F(m)": "action tanh(loc) in [-1, 1] with the message on edge j -> i scaled by m[i, j] after the "
+    "softmax, nothing renormalised",
     "fid_minus": "mean over agents of d_i(m), d_i(m) = mean over action entries of |F_i(1) - F_i(m)|",
     "fid_plus": "mean over agents of d_i(1 - m)",
     "fid_delta": "fid_plus - fid_minus",
@@ -29,8 +29,8 @@ DEFINITIONS: dict[str, str] = {
     "action entries",
     "median_kl": "median of that KL over the agents and timesteps of an episode",
     "mask_mass": "mean of the mask over all edges, the agents' own among them",
-    "communication_dependence": "mean over agents of d_i(identity): what removing all messages between agents "
-    "changes",
+    "communication_dependence": "mean over agents of d_i(identity): what removing all messages between "
+    "agents changes",
     "reward": "mean over agents of the return",
     "success_rate": "fraction of agents at goal when the episode ends; discovery: 1 if found",
     "no_agent_collision": "1 if no two agents collided in the episode",
@@ -38,7 +38,7 @@ DEFINITIONS: dict[str, str] = {
     "makespan": "steps until done, max_cycles if never",
     "aggregation": "mean over timesteps within an episode, then mean over episodes; percentile bootstrap "
     "interval (95 %) over episodes; what is not a number is left out and counted in n_nan",
-    "timesteps": "null: all of an episode; K: at most K, number floor((2 k + 1) T / (2 K)) of T, k = 0 .. K - 1",
+    "timesteps": "null: all T of an episode; K: at most K, number floor((2 k + 1) T / (2 K)), k = 0 .. K - 1",
     "seeds": "environment seed of each episode: 10^12 + seed * 10^6 + k",
 }
 
@@ -173,7 +173,9 @@ class Entry(Record):
     results: tuple[CellResult, ...]
     cost: Cost
     provenance: Provenance
-    reported: dict[str, JsonValue] | None = None  # claims of a paper or submitter, kept apart from measurements
+    reported: dict[str, JsonValue] | None = (
+        None  # claims of a paper or submitter, kept apart from measurements
+    )
     verification: Verification = Verification()
 
     @property
@@ -212,7 +214,9 @@ def read_entry(path: Path) -> Entry:
         where = ".".join(str(part) for part in first["loc"]) or "the whole file"
         raise InputError(f"{path} is not an entry: {first['msg']} at {where}.") from None
     if entry_id(entry) != entry.entry_id:
-        raise InputError(f"{path} was changed after it was written (its entry_id does not fit): score it again.")
+        raise InputError(
+            f"{path} was changed after it was written (its entry_id does not fit): score it again."
+        )
     return entry
 
 

@@ -81,9 +81,13 @@ def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor
             f"explainer {name!r} returned a {type(mask).__name__}: return a torch.Tensor of shape {expected}."
         )
     if tuple(mask.shape) != expected:
-        raise InputError(f"explainer {name!r} returned a mask of shape {tuple(mask.shape)}, expected {expected}.")
+        raise InputError(
+            f"explainer {name!r} returned a mask of shape {tuple(mask.shape)}, expected {expected}."
+        )
     if not mask.is_floating_point():
-        raise InputError(f"explainer {name!r} returned a mask of {mask.dtype}: return floating-point numbers.")
+        raise InputError(
+            f"explainer {name!r} returned a mask of {mask.dtype}: return floating-point numbers."
+        )
     mask = mask.detach()
     n_bad = int((~torch.isfinite(mask)).sum())
     if n_bad:

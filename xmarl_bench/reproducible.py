@@ -24,7 +24,9 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
     if not 0 <= seed < 10**9:
         raise InputError(f"seed must be in [0, 10^9), got {seed}: choose a smaller or positive one.")
     if not 1 <= episodes <= SEEDS_PER_RUN:
-        raise InputError(f"episodes must be in [1, {SEEDS_PER_RUN}], got {episodes}: choose a number in that range.")
+        raise InputError(
+            f"episodes must be in [1, {SEEDS_PER_RUN}], got {episodes}: choose a number in that range."
+        )
     return [FIRST_SEED + seed * SEEDS_PER_RUN + k for k in range(episodes)]
 
 

@@ -78,7 +78,9 @@ def roll_out(
 
 
 @torch.inference_mode()
-def act(policy: GraphPolicy, observation: NDArray[np.float32], mask: Tensor | None = None) -> NDArray[np.float32]:
+def act(
+    policy: GraphPolicy, observation: NDArray[np.float32], mask: Tensor | None = None
+) -> NDArray[np.float32]:
     """(N, D) -> (N, A): the deterministic action of one team at one moment."""
     # A copy, not a view: matrix products also round differently by the alignment of their memory,
     # and torch aligns what it allocates itself.

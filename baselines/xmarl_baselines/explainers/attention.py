@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import GraphPolicy
 

@@ -3,7 +3,8 @@
 Paper: Ying et al., "GNNExplainer: Generating Explanations for Graph Neural Networks" (NeurIPS 2019).
 Formula: the mask is sigmoid(w) for one logit per edge, fitted by Adam to
 
-    mean squared error of F(sigmoid(w)) to F(1) + edge_size * sum sigmoid(w) + edge_ent * mean entropy(sigmoid(w)).
+    mean squared error of F(sigmoid(w)) to F(1)
+        + edge_size * sum of sigmoid(w) + edge_ent * mean entropy of sigmoid(w).
 
 Departures: none from PyG. One graph at a time, on a private copy of the policy. With these defaults (100
 epochs, lr 0.01) the result is mostly its random initial logits: measured correlation 0.72-0.86 with them,
@@ -13,6 +14,7 @@ and 0.09 between seeds.
 from __future__ import annotations
 
 from torch_geometric.explain import GNNExplainer
+
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.pyg import PygExplain
 

@@ -21,6 +21,7 @@ Each graph gets a private copy of the policy, for the algorithm leaves hooks and
 from __future__ import annotations
 
 from torch_geometric.explain import GraphMaskExplainer
+
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.pyg import PygExplain
 

@@ -1,0 +1,113 @@
+"""How well policies do their task, with messages between agents and without: no explainer involved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from xmarl_envs import TASKS
+
+from xmarl_bench.fan_out import fan_out
+from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.reproducible import one_thread
+from xmarl_bench.request import Cell, Sampling
+from xmarl_bench.rollout import Episode, roll_out
+
+TASK_METRICS = ("reward", "success_rate", "no_agent_collision", "no_object_collision", "makespan")
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Means over episodes of the task metrics; None where the task has no such thing."""
+
+    task: str
+    n_agents: int
+    episodes: int
+    seed: int
+    max_cycles: int
+    with_messages: dict[str, float | None]
+    without_messages: dict[str, float | None]  # F(identity): every agent hears itself only
+
+    def record(self) -> dict[str, Any]:
+        """As a policy card holds it, under `performance`."""
+        return asdict(self)
+
+
+def evaluate_policy(
+    policy: GraphPolicy, task: str, n_agents: int, *, episodes: int = 50, seed: int = 0
+) -> dict[str, Any]:
+    """One policy's `Performance` as its card records it."""
+    return evaluate([(policy, Cell(task, n_agents))], Sampling(episodes=episodes, seed=seed))[0].record()
+
+
+def evaluate(
+    policies: Sequence[tuple[GraphPolicy, Cell]],
+    sampling: Sampling,
+    *,
+    jobs: int = 1,
+    parallel_episodes: int = 50,
+    progress: bool = False,
+) -> list[Performance]:
+    """Roll out each policy on the sampling's episodes twice: as it is, and with all messages removed.
+
+    The same episodes as scoring plays with the same seed. `sampling.timesteps` has no meaning here.
+    """
+    chunk = max(1, min(parallel_episodes, -(-sampling.episodes // max(jobs, 1))))
+    parts = [sampling.seeds[first : first + chunk] for first in range(0, sampling.episodes, chunk)]
+    units = [
+        _Run(policy, cell, tuple(part), sampling.max_cycles, messages)
+        for policy, cell in policies
+        for messages in (True, False)
+        for part in parts
+    ]
+    played = fan_out(_Run.play, units, jobs=jobs, progress="evaluate" if progress else None)
+    performances = []
+    for _, cell in policies:
+        heard, unheard = (
+            _means(cell, [episode for _ in parts for episode in next(played)]) for _ in range(2)
+        )
+        performances.append(
+            Performance(
+                task=cell.task,
+                n_agents=cell.n_agents,
+                episodes=sampling.episodes,
+                seed=sampling.seed,
+                max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
+                with_messages=heard,
+                without_messages=unheard,
+            )
+        )
+    return performances
+
+
+@dataclass(frozen=True)
+class _Run:
+    policy: GraphPolicy
+    cell: Cell
+    seeds: tuple[int, ...]
+    max_cycles: int | None
+    messages: bool
+
+    def play(self) -> list[Episode]:
+        mask = None if self.messages else torch.eye(self.cell.n_agents)
+        with one_thread():
+            return roll_out(
+                self.cell.make(),
+                self.policy,
+                self.seeds,
+                parallel_episodes=len(self.seeds),
+                max_cycles=self.max_cycles,
+                mask=mask,
+            )
+
+
+def _means(cell: Cell, episodes: Sequence[Episode]) -> dict[str, float | None]:
+    means: dict[str, float | None] = {
+        metric: float(np.mean([getattr(episode, metric) for episode in episodes])) for metric in TASK_METRICS
+    }
+    if not TASKS[cell.task].n_walls:
+        means["no_object_collision"] = None
+    return means

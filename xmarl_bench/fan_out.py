@@ -1,0 +1,51 @@
+"""The same function over many units of work, in one process or several, with a progress bar on stderr."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+from joblib import Parallel, delayed
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from xmarl_bench.errors import InputError
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+
+def fan_out(
+    function: Callable[[Unit], Result], units: Sequence[Unit], *, jobs: int = 1, progress: str | None = None
+) -> Iterator[Result]:
+    """Results in the order of `units`, whatever finishes first; `progress` is the bar's title, None for none.
+
+    A worker gets pickled copies, so results must not depend on which process computes them.
+    """
+    if jobs < 1:
+        raise InputError(f"jobs must be at least 1, got {jobs}: give the number of processes to use.")
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=progress is None,
+    )
+    with bar:
+        task = bar.add_task(progress or "", total=len(units))
+        if jobs == 1 or len(units) < 2:
+            results: Iterator[Result] = map(function, units)
+        else:
+            results = Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(unit) for unit in units)
+        for result in results:
+            bar.advance(task)
+            yield result

@@ -1,0 +1,175 @@
+"""Tables for people, on a terminal or in a README; the same rows are what `--json` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from xmarl_envs import TASKS
+
+from xmarl_bench.board import board_of
+from xmarl_bench.entry import Entry
+from xmarl_bench.evaluation import Performance
+from xmarl_bench.explainer import Explainer
+from xmarl_bench.policy import PolicyCard
+from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.registry import explainer_names, find_explainer, find_policies
+
+Row = dict[str, Any]
+
+
+def tasks() -> list[Row]:
+    return [
+        {
+            "name": name,
+            "max_agents": task.max_agents,
+            "obs_dim": len(task.observation_names),
+            "max_cycles": task.default_max_cycles,
+        }
+        for name, task in TASKS.items()
+    ]
+
+
+def policies() -> list[Row]:
+    """`success` is the success rate its card records, None where it records none."""
+    rows = []
+    for name, folder in find_policies().items():
+        card = load_card(folder)
+        measured = card.performance.get("with_messages", {})
+        rows.append(
+            {
+                "name": name,
+                "task": card.task,
+                "n_agents": card.n_agents,
+                "attention_entropy": card.attention_entropy,
+                "training_seed": card.training_seed,
+                "success": measured.get("success_rate") if isinstance(measured, dict) else None,
+            }
+        )
+    return rows
+
+
+def explainers() -> list[Row]:
+    rows = []
+    for found in map(find_explainer, explainer_names()):
+        each = found.explainer
+        rows.append(
+            {
+                "name": each.name,
+                "kind": "control" if each.control else "explainer",
+                "stochastic": each.stochastic,
+                "slow": each.slow,
+                "distribution": found.distribution,
+                "version": found.version,
+                "summary": each.summary,
+            }
+        )
+    return rows
+
+
+def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Performance]) -> list[Row]:
+    """One row per policy and cell; "a / b" is with messages between agents / without."""
+    rows = []
+    for card, each in zip(cards, performances, strict=True):
+
+        def both(metric: str, digits: int, each: Performance = each) -> str:
+            values = (each.with_messages[metric], each.without_messages[metric])
+            return " / ".join("-" if value is None else f"{value:.{digits}f}" for value in values)
+
+        rows.append(
+            {
+                "policy": card.name,
+                "task": each.task,
+                "agents": each.n_agents,
+                "lambda": card.attention_entropy,
+                "success": both("success_rate", 2),
+                "no agent collision": both("no_agent_collision", 2),
+                "no wall contact": both("no_object_collision", 2),
+                "makespan": both("makespan", 0),
+                "reward": both("reward", 2),
+            }
+        )
+    return rows
+
+
+def print_rows(rows: Sequence[Row]) -> None:
+    if not rows:
+        print("none")
+        return
+    table = Table(*(key.replace("_", " ") for key in rows[0]))
+    for row in rows:
+        table.add_row(*(_cell(value) for value in row.values()))
+    _console().print(table)
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    if not rows:
+        return ""
+    lines = [
+        list(rows[0]),
+        ["---"] * len(rows[0]),
+        *([_cell(value) for value in row.values()] for row in rows),
+    ]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
+    """A table per protocol and cell, as on the board, and a word on what was given fewer states."""
+    console = _console()
+    for table in board_of([(entry.file_name, entry) for entry in entries])["tables"]:
+        protocol = table["protocol"]
+        steps = (
+            "every timestep"
+            if protocol["timesteps"] is None
+            else f"{protocol['timesteps']} timesteps of each"
+        )
+        shown = Table(
+            "policy", "explainer",
+            title=f"{table['task']}, {table['n_agents']} agents: {protocol['episodes']} episodes, {steps}",
+            title_justify="left",
+        )  # fmt: skip
+        for heading in ("Fid+", "Fid-", "FidDelta", "95 %", "GEF", "median KL", "mass"):
+            shown.add_column(heading, justify="right")
+        for group in table["policies"]:
+            for row in group["rows"]:
+                metrics = row["metrics"]
+                low_high = metrics["fid_delta"]["interval"]
+                shown.add_row(
+                    group["name"],
+                    row["explainer"] + (" (control)" if row["control"] else ""),
+                    *(_number(metrics[name]) for name in ("fid_plus", "fid_minus", "fid_delta")),
+                    "-" if low_high is None else f"{low_high[0]:.3f} {low_high[1]:.3f}",
+                    *(_number(metrics[name]) for name in ("gef", "median_kl", "mask_mass")),
+                )
+            shown.add_section()
+        console.print(shown)
+    slow = [explainer.name for explainer in used if explainer.slow]
+    limited = [entry.protocol for entry in entries if entry.explainer.name in slow]
+    if limited and any(entry.protocol != limited[0] for entry in entries):
+        few = limited[0]
+        steps = "" if few.timesteps is None else f", at most {few.timesteps} timesteps of each"
+        print(
+            f"Slow explainers ({', '.join(slow)}) were given fewer states: {few.episodes} episodes{steps}. "
+            f"The others were scored on these as well, to be compared with them, and on all states."
+        )
+
+
+def _number(summary: dict[str, Any]) -> str:
+    text = "NaN" if summary["value"] is None else f"{summary['value']:.3f}"
+    return text + (f" ({summary['n_nan']} NaN)" if summary["n_nan"] and summary["value"] is not None else "")
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _console() -> Console:
+    """Wide where there is no terminal, so that logs do not break lines."""
+    console = Console()
+    return console if console.is_terminal else Console(width=160)

@@ -1,0 +1,106 @@
+"""From names to requests: which policies, explainers and cells a command means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from xmarl_envs import TASKS
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import GraphPolicy, PolicyCard, load_policy
+from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.registry import (
+    FoundExplainer,
+    check_task,
+    explainer_names,
+    find_explainer,
+    find_policies,
+    find_policy,
+)
+from xmarl_bench.request import Cell, Request, Sampling, check_fit
+
+ALL = "all"
+
+
+def select_policies(
+    names: Sequence[str], tasks: Sequence[str], agents: Sequence[str]
+) -> list[tuple[GraphPolicy, PolicyCard, tuple[Cell, ...]]]:
+    """The policies to run, each with its cells.
+
+    `all` policies are those trained for one of the tasks and team sizes asked for. A policy asked for by
+    name or folder runs with every team size asked for, or with its own where that is `all`.
+    """
+    sizes = _sizes(agents)
+    for task in tasks:
+        if task != ALL:
+            check_task(task)
+    wanted_tasks = list(TASKS) if ALL in tasks else list(tasks)
+    if ALL in names:
+        cards = [(folder, load_card(folder)) for folder in find_policies().values()]
+        folders = [
+            folder
+            for folder, card in cards
+            if card.task in wanted_tasks and (sizes is None or card.n_agents in sizes)
+        ]
+        if not folders:
+            raise InputError(
+                f"no policy is installed for task {' or '.join(wanted_tasks)} with "
+                f"{'any number of' if sizes is None else ' or '.join(map(str, sizes))} agents: "
+                f"see `xmarl-bench list policies`, or give the folder of a policy bundle."
+            )
+        sizes = None
+    else:
+        folders = [find_policy(name) for name in dict.fromkeys(names)]
+    selected: list[tuple[GraphPolicy, PolicyCard, tuple[Cell, ...]]] = []
+    for folder in folders:
+        policy, card = load_policy(folder)
+        check_task(card.task)
+        # One name stands for one policy in a run, for entries are filed by it.
+        if any(card.name == other.name for _, other, _ in selected):
+            raise InputError(
+                f"two policies are named {card.name!r} ({folder} is one): rename one, or leave it out."
+            )
+        cells = tuple(Cell(card.task, n) for n in (sizes or [card.n_agents]))
+        if card.task not in wanted_tasks:
+            check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # says why not
+        for cell in cells:
+            check_fit(card, cell)
+        selected.append((policy, card, cells))
+    return selected
+
+
+def select_explainers(names: Sequence[str]) -> list[FoundExplainer]:
+    wanted = explainer_names() if ALL in names else list(dict.fromkeys(names))
+    return [find_explainer(name) for name in wanted]
+
+
+def plan(
+    policies: Sequence[tuple[GraphPolicy, PolicyCard, tuple[Cell, ...]]],
+    explainers: Sequence[FoundExplainer],
+    sampling: Sampling,
+    slow: Sampling | None = None,
+) -> list[Request]:
+    """One request per policy and explainer.
+
+    slow: the sampling of explainers that declare themselves slow. Where the run has such, the others are
+    scored on it as well as on `sampling`: entries are compared on the same states or not at all.
+    """
+    any_slow = slow is not None and slow != sampling and any(found.explainer.slow for found in explainers)
+    requests = []
+    for policy, card, cells in policies:
+        for found in explainers:
+            samplings = [sampling]
+            if any_slow and slow is not None:
+                samplings = [slow] if found.explainer.slow else [sampling, slow]
+            requests += [Request(policy, card, found, cells, each) for each in samplings]
+    return requests
+
+
+def _sizes(agents: Sequence[str]) -> list[int] | None:
+    """Team sizes asked for, None for each policy's own."""
+    if ALL in agents:
+        return None
+    try:
+        return [int(text) for text in dict.fromkeys(agents)]
+    except ValueError:
+        raise InputError(f"agents must be a number or {ALL!r}, got {', '.join(agents)}.") from None

@@ -69,7 +69,9 @@ def load_policy(folder: Path) -> tuple[GraphPolicy, PolicyCard]:
     try:
         weights = load(data)
     except SafetensorError as error:
-        raise InputError(f"{folder / WEIGHTS} cannot be read as safetensors ({error}): save it again.") from None
+        raise InputError(
+            f"{folder / WEIGHTS} cannot be read as safetensors ({error}): save it again."
+        ) from None
     policy = GraphPolicy(card.architecture)
     expected = {key: tuple(tensor.shape) for key, tensor in policy.state_dict().items()}
     received = {key: tuple(tensor.shape) for key, tensor in weights.items()}
@@ -82,7 +84,9 @@ def load_policy(folder: Path) -> tuple[GraphPolicy, PolicyCard]:
             f"{received.get(wrong[0])}, expected {expected.get(wrong[0])}."
         )
     if not all(bool(torch.isfinite(tensor).all()) for tensor in weights.values()):
-        raise InputError(f"{folder / WEIGHTS} holds weights that are NaN or infinite: train or save it again.")
+        raise InputError(
+            f"{folder / WEIGHTS} holds weights that are NaN or infinite: train or save it again."
+        )
     digest = hashlib.sha256(data).hexdigest()
     if digest != card.weights_sha256:
         raise InputError(

@@ -68,6 +68,11 @@ class VectorEnv:
         An episode depends on its seed and on the actions taken in it, and on nothing else.
         """
         which = np.arange(self.n_episodes) if episodes is None else np.atleast_1d(np.asarray(episodes))
+        whole = which.size == 0 or np.issubdtype(which.dtype, np.integer)
+        if not whole or (which.size and not 0 <= which.min() <= which.max() < self.n_episodes):
+            raise ValueError(
+                f"episodes must be whole numbers from 0 to {self.n_episodes - 1}, got {which.tolist()}."
+            )
         if len(seeds) != which.size:
             raise ValueError(
                 f"each episode needs one seed: got {len(seeds)} seeds for {which.size} episodes."

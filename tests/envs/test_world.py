@@ -71,16 +71,19 @@ def test_free_flight_under_a_constant_force_is_the_closed_form() -> None:
 
 
 @pytest.mark.parametrize("task", [BlindNavigation(2), BlindPassage(2), BlindDiscovery(2)])
+@pytest.mark.parametrize("push", [(1.0, 0.0), (1.0, 1.0)])  # along the diagonal force and speed are greatest
 @pytest.mark.parametrize("lateral", [0.0, 0.3])  # of a radius: head-on, and glancing
-def test_two_discs_driven_into_each_other(task: Task, lateral: float) -> None:
-    start = np.array([[-0.6, 0.5], [0.6, 0.5 + lateral * task.radius]])
-    walls = np.array([[0.0, -3.0], [0.0, -3.0]])[: task.n_walls]
-    world = world_with(task, start, walls)
-    push = task.u_mult * np.array([[[1.0, 0.0], [-1.0, 0.0]]])
+def test_two_discs_driven_into_each_other(task: Task, push: tuple[float, float], lateral: float) -> None:
+    force = task.u_mult * np.array([push, push]) * [[1.0], [-1.0]]
+    beside = lateral * task.radius * np.array([-push[1], push[0]]) / np.hypot(*push)
+    walls = np.array([[0.0, -30.0], [0.0, -30.0]])[: task.n_walls]
     deepest = -np.inf
-    for _ in range(150):
-        world.step(push)
-        deepest = max(deepest, pair_penetration(world.position[0], task.radius))
+    for distance in np.linspace(0.65, 0.75, 15):  # they meet at any moment of a step
+        start = distance * np.array([push, push]) * [[-1.0], [1.0]] + [beside, -beside]
+        world = world_with(task, start, walls)
+        for _ in range(60):
+            world.step(force[None])
+            deepest = max(deepest, pair_penetration(world.position[0], task.radius))
     assert -1e-3 < deepest <= PENETRATION
 
 

@@ -1,0 +1,39 @@
+# Everything needs Python 3.11 with venv; the rest is installed into .venv with the versions of constraints.txt.
+PYTHON ?= python3
+BIN := .venv/bin
+STAMP := .venv/.installed
+# Two processes that share a machine's cores do best with one thread each.
+export OMP_NUM_THREADS ?= 1
+export SDL_VIDEODRIVER ?= dummy
+
+.DEFAULT_GOAL := help
+.PHONY: help venv score test lint type bench wheel-test
+
+help:  ## Show this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+venv: $(STAMP)  ## Create .venv and install the project with its pinned versions
+
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+score: $(STAMP)  ## Score every shipped policy with every shipped explainer (under 10 minutes on 2 cores)
+	$(BIN)/xmarl-bench score --policy all --explainer all --jobs 2
+
+test: lint type  ## Run all checks: lint, types and the whole test suite
+	$(BIN)/python -m pytest --numprocesses 2
+
+lint: $(STAMP)  ## Check style and formatting with ruff
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+type: $(STAMP)  ## Check types of packages and tests with mypy --strict
+	$(BIN)/mypy
+
+bench: $(STAMP)  ## Measure how fast the environments step, beside VMAS
+	$(BIN)/python -m pytest --benchmark-only tests/benchmarks
+
+wheel-test: $(STAMP)  ## Build the wheel and try it in a clean environment outside the repository
+	PYTHON=$(BIN)/python bash tests/wheel_test.sh

@@ -1,0 +1,39 @@
+"""Code in the README runs as it stands there."""
+
+from __future__ import annotations
+
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS: list[str] = re.findall(r"^```python\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_there_is_code() -> None:
+    assert len(BLOCKS) >= 2
+    assert "score(" in BLOCKS[0]
+
+
+@pytest.mark.skipif(find_spec("xmarl_baselines.policies") is None, reason="no policy is shipped yet")
+def test_the_example_scores(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(BLOCKS[0], "README.md", "exec"), {"__name__": "readme"})
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in printed] == ["fid_plus", "fid_minus", "fid_delta", "gef"]
+
+
+@pytest.mark.parametrize("block", BLOCKS[1:])
+def test_the_other_examples_run(block: str) -> None:
+    exec(compile(block, "README.md", "exec"), {"__name__": "readme"})
+
+
+@pytest.mark.parametrize("document", ["README.md", "CONTRIBUTING.md"])
+def test_links_lead_to_files(document: str) -> None:
+    text = (ROOT / document).read_text(encoding="utf-8")
+    links = re.findall(r"\]\((?!https?:)([^)#]+)", text)
+    assert [link for link in links if not (ROOT / link).exists()] == []
+    named = re.findall(r"`((?:envs|tests|baselines|xmarl_bench)/[\w./]+)`", text)
+    assert [path for path in named if not (ROOT / path).exists()] == []

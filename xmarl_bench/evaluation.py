@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from xmarl_envs import TASKS
 
-from xmarl_bench.fan_out import fan_out
+from xmarl_bench.fan_out import check_parallel, fan_out
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell, Sampling
@@ -55,7 +55,8 @@ def evaluate(
 
     The same episodes as scoring plays with the same seed. `sampling.timesteps` has no meaning here.
     """
-    chunk = max(1, min(parallel_episodes, -(-sampling.episodes // max(jobs, 1))))
+    check_parallel(jobs, parallel_episodes)
+    chunk = min(parallel_episodes, -(-sampling.episodes // jobs))
     parts = [sampling.seeds[first : first + chunk] for first in range(0, sampling.episodes, chunk)]
     units = [
         _Run(policy, cell, tuple(part), sampling.max_cycles, messages)

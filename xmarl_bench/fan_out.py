@@ -29,8 +29,6 @@ def fan_out(
 
     A worker gets pickled copies, so results must not depend on which process computes them.
     """
-    if jobs < 1:
-        raise InputError(f"jobs must be at least 1, got {jobs}: give the number of processes to use.")
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -49,3 +47,14 @@ def fan_out(
         for result in results:
             bar.advance(task)
             yield result
+
+
+def check_parallel(jobs: int, parallel_episodes: int) -> None:
+    """Raises InputError for numbers of processes or episodes that are none."""
+    if jobs < 1:
+        raise InputError(f"jobs must be at least 1, got {jobs}: give the number of processes to use.")
+    if parallel_episodes < 1:
+        raise InputError(
+            f"parallel_episodes must be at least 1, got {parallel_episodes}: "
+            f"give the number of episodes to step side by side."
+        )

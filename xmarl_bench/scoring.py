@@ -27,9 +27,8 @@ from xmarl_bench.entry import (
     Summary,
     make_entry,
 )
-from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
-from xmarl_bench.fan_out import fan_out
+from xmarl_bench.fan_out import check_parallel, fan_out
 from xmarl_bench.measure import Measured, Unit, measure
 from xmarl_bench.policy import GraphPolicy, PolicyCard, load_policy
 from xmarl_bench.provenance import now, provenance
@@ -91,6 +90,7 @@ def score_requests(
     Every explainer is first tried on one timestep of every policy it is to explain, so that one that does
     not work is refused before anything is yielded.
     """
+    check_parallel(jobs, parallel_episodes)
     started = now()
     episodes = _roll_out_all(requests, jobs, parallel_episodes, progress)
     for request in requests:
@@ -140,8 +140,6 @@ def _key(request: Request, cell: Cell) -> _Key:
 def _roll_out_all(
     requests: Sequence[Request], jobs: int, parallel_episodes: int, progress: bool
 ) -> dict[_Key, list[Episode]]:
-    if parallel_episodes < 1:
-        raise InputError(f"parallel_episodes must be at least 1, got {parallel_episodes}.")
     longest: dict[_Key, Request] = {}
     for request in requests:
         for cell in request.cells:
@@ -151,7 +149,7 @@ def _roll_out_all(
     keys, units = [], []
     for key, request in longest.items():
         seeds = request.sampling.seeds
-        chunk = max(1, min(parallel_episodes, -(-len(seeds) // jobs)))
+        chunk = min(parallel_episodes, -(-len(seeds) // jobs))
         for first in range(0, len(seeds), chunk):
             keys.append(key)
             units.append(

@@ -1,0 +1,50 @@
+"""The policy written out edge by edge in float64, from the formulas and from no code of the benchmark.
+
+GATv2 (Brody et al., ICLR 2022): e_ij = a . LeakyReLU(W_l x_j + W_r x_i), alpha_i = softmax_j e_ij;
+h_i = sum_j m_ij alpha_ij W_l x_j + b.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xmarl_bench.policy import GraphPolicy
+
+Floats = NDArray[np.float64]
+ACTIVATION = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+
+
+def reference_distribution(policy: GraphPolicy, observation: Floats, mask: Floats) -> tuple[Floats, Floats]:
+    """(N, D) observations of one timestep, (N, N) mask -> loc (N, A), scale (N, A)."""
+    weights = {key: tensor.double().numpy() for key, tensor in policy.state_dict().items()}
+    architecture = policy.architecture
+    n_agents = len(observation)
+    x = observation
+    for layer in range(len(architecture.encoder)):
+        x = _linear(weights, f"encoder.{2 * layer}", x)
+        x = ACTIVATION[architecture.encoder_activation](x)
+    message = _linear(weights, "gat.lin_l", x)
+    receiver = _linear(weights, "gat.lin_r", x)
+    a = weights["gat.att"].reshape(-1)
+    hidden = np.zeros((n_agents, architecture.gat_width))
+    for i in range(n_agents):
+        scores = np.zeros(n_agents)
+        for j in range(n_agents):
+            pair = receiver[i] + message[j]
+            scores[j] = a @ np.where(pair > 0, pair, 0.2 * pair)
+        alpha = np.exp(scores - scores.max())
+        alpha /= alpha.sum()
+        for j in range(n_agents):
+            hidden[i] += mask[i, j] * alpha[j] * message[j]
+    hidden = ACTIVATION[architecture.gat_activation](hidden + weights["gat.bias"])
+    for layer in range(len(architecture.decoder)):
+        hidden = _linear(weights, f"decoder.{2 * layer}", hidden)
+        hidden = ACTIVATION[architecture.decoder_activation](hidden)
+    out = _linear(weights, f"decoder.{2 * len(architecture.decoder)}", hidden)
+    loc, raw_scale = out[:, : architecture.action_dim], out[:, architecture.action_dim :]
+    return loc, np.maximum(np.log1p(np.exp(raw_scale + np.log(np.e - 1.0))), 1e-4)
+
+
+def _linear(weights: dict[str, Floats], name: str, x: Floats) -> Floats:
+    return np.asarray(x @ weights[f"{name}.weight"].T + weights[f"{name}.bias"])

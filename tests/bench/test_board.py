@@ -1,0 +1,105 @@
+"""The leaderboard is a function of its entries."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import MakeBundle
+from xmarl_bench.board import board_of, build_board
+from xmarl_bench.entry import Entry, Record, write_entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import load_policy
+from xmarl_bench.registry import find_explainer
+from xmarl_bench.request import Cell, Request, Sampling
+from xmarl_bench.scoring import score_requests
+
+
+@pytest.fixture
+def entries(make_bundle: MakeBundle) -> list[Entry]:
+    policies = [load_policy(make_bundle(name=name, seed=seed)) for seed, name in enumerate(("a", "b"))]
+    samplings = Sampling(episodes=3, max_cycles=8), Sampling(episodes=2, timesteps=2, max_cycles=8)
+    return list(
+        score_requests(
+            [
+                Request(policy, card, find_explainer(name), (Cell(card.task, n),), sampling)
+                for policy, card in policies
+                for name in ("all-ones", "random", "attention")
+                for sampling in samplings
+                for n in (3, 4)
+            ]
+        )
+    )
+
+
+def test_only_identical_protocols_share_a_table(entries: list[Entry]) -> None:
+    board = board_of([(entry.file_name, entry) for entry in entries])
+    shown = [
+        (table["n_agents"], table["protocol"]["episodes"], table["protocol"]["timesteps"])
+        for table in board["tables"]
+    ]
+    assert shown == [(3, 3, None), (3, 2, 2), (4, 3, None), (4, 2, 2)]
+    for table in board["tables"]:
+        assert [policy["name"] for policy in table["policies"]] == ["a", "b"]
+        for policy in table["policies"]:
+            rows = policy["rows"]
+            values = [row["metrics"]["fid_delta"]["value"] for row in rows]
+            assert values == sorted(values, reverse=True)
+            assert [row["rank"] for row in rows if not row["control"]] == [1]
+            assert {row["rank"] for row in rows if row["control"]} == {None}
+            assert {row["explainer"] for row in rows} == {"all-ones", "random", "attention"}
+    assert board["order"]["by"] == "fid_delta"
+
+
+def test_bytes_depend_on_the_entries_alone(tmp_path: Path, entries: list[Entry]) -> None:
+    for name, listed in (("one", entries), ("two", entries[::-1])):
+        for entry in listed:
+            write_entry(tmp_path / name / "entries", entry)
+        build_board(tmp_path / name)
+    for file in ("leaderboard.json", "index.html"):
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
+    before = (tmp_path / "one" / "leaderboard.json").read_bytes()
+    build_board(tmp_path / "one")
+    assert (tmp_path / "one" / "leaderboard.json").read_bytes() == before
+    board = json.loads(before)
+    for table in board["tables"]:
+        for policy in table["policies"]:
+            for row in policy["rows"]:
+                assert (tmp_path / "one" / row["file"]).is_file()
+
+
+def test_the_page_shows_the_numbers_loads_nothing_and_escapes(tmp_path: Path, entries: list[Entry]) -> None:
+    policy = entries[0].policy.model_copy(update={"name": "<script>x</script>"})
+    hostile = entries[0].model_copy(update={"policy": policy})
+    board = board_of([("x.json", hostile), *((entry.file_name, entry) for entry in entries[1:])])
+    from xmarl_bench.board import render
+
+    page = render(board)
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+    assert not re.search(r'(src|href)="(https?:)?//', page)
+    assert "prefers-color-scheme: dark" in page
+    value = board["tables"][0]["policies"][-1]["rows"][0]["metrics"]["fid_delta"]["value"]
+    assert f"{value:.3f}" in page
+
+
+def test_no_entries_is_an_empty_board(tmp_path: Path) -> None:
+    board = json.loads(build_board(tmp_path).read_text())
+    assert board["tables"] == []
+    assert "No entries yet" in (tmp_path / "index.html").read_text()
+
+
+def test_an_invalid_entry_is_refused_before_anything_is_written(tmp_path: Path, entries: list[Entry]) -> None:
+    path = write_entry(tmp_path / "entries", entries[0])
+    path.write_text(path.read_text().replace('"control": true', '"control": false'))
+    with pytest.raises(InputError, match=re.escape(path.name)):
+        build_board(tmp_path)
+    assert not (tmp_path / "leaderboard.json").exists()
+
+
+def test_records_are_strict() -> None:
+    assert Record.model_config.get("extra") == "forbid"
+    assert Record.model_config.get("frozen") is True

@@ -1,0 +1,99 @@
+"""Metrics against numbers worked out by hand and against torch.distributions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch.distributions import Independent, Normal
+from torch.distributions import kl_divergence as torch_kl
+
+from xmarl_bench.metrics import (
+    fidelity,
+    graph_explanation_unfaithfulness,
+    kl_divergence,
+    mask_mass,
+    prediction_change,
+)
+
+
+def test_fidelity_by_hand() -> None:
+    full = np.array([[[0.5, -0.5], [0.0, 1.0]]])  # one timestep, two agents, two action entries
+    kept = np.array([[[0.5, -0.3], [0.0, 1.0]]])  # agent 0: (0 + 0.2) / 2 = 0.1, agent 1: 0
+    dropped = np.array([[[-0.5, -0.5], [0.4, 0.4]]])  # agent 0: (1 + 0) / 2, agent 1: (0.4 + 0.6) / 2
+    result = fidelity(full, kept, dropped)
+    np.testing.assert_allclose(prediction_change(full, kept), [[0.1, 0.0]])
+    np.testing.assert_allclose(result.minus, [0.05])
+    np.testing.assert_allclose(result.plus, [0.5])
+    np.testing.assert_allclose(result.delta, [0.45])
+
+
+def test_fidelity_averages_agents_and_leaves_timesteps_apart() -> None:
+    full = np.zeros((3, 2, 2))
+    kept = np.arange(3.0).reshape(3, 1, 1) * np.ones((3, 2, 2))
+    assert fidelity(full, kept, full).minus.tolist() == [0.0, 1.0, 2.0]
+    assert fidelity(full, kept, full).plus.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_the_complement_swaps_plus_and_minus() -> None:
+    rng = np.random.default_rng(0)
+    full, kept, dropped = rng.uniform(-1, 1, (3, 5, 4, 2))
+    one, other = fidelity(full, kept, dropped), fidelity(full, dropped, kept)
+    np.testing.assert_array_equal(one.plus, other.minus)
+    np.testing.assert_array_equal(one.delta, -other.delta)
+
+
+def test_kl_by_hand() -> None:
+    # KL(N(0, 1) || N(1, 2)) = ln 2 + (1 + 1) / 8 - 1/2, in one action entry; the other is identical.
+    kl = kl_divergence(np.array([0.0, 3.0]), np.array([1.0, 0.5]), np.array([1.0, 3.0]), np.array([2.0, 0.5]))
+    assert kl == pytest.approx(math.log(2) + 0.25 - 0.5, abs=1e-12)
+
+
+def test_kl_has_the_direction_of_the_definition() -> None:
+    p, q = (np.array([0.0]), np.array([1.0])), (np.array([1.0]), np.array([2.0]))
+    forward, reverse = kl_divergence(*p, *q), kl_divergence(*q, *p)
+    assert forward == pytest.approx(math.log(2) - 0.25)
+    assert reverse == pytest.approx(-math.log(2) + (4 + 1) / 2 - 0.5)
+
+
+finite = st.floats(-3, 3)
+scales = st.floats(0.05, 5)
+
+
+@given(st.lists(st.tuples(finite, scales, finite, scales), min_size=6, max_size=6))
+def test_kl_equals_torch_summed_over_action_entries(rows: list[tuple[float, float, float, float]]) -> None:
+    loc_p, scale_p, loc_q, scale_q = np.array(rows).T.reshape(4, 3, 2)  # 3 agents, 2 action entries
+    p = Independent(Normal(torch.tensor(loc_p), torch.tensor(scale_p)), 1)
+    q = Independent(Normal(torch.tensor(loc_q), torch.tensor(scale_q)), 1)
+    ours = kl_divergence(loc_p, scale_p, loc_q, scale_q)
+    assert ours.shape == (3,)
+    np.testing.assert_allclose(ours, torch_kl(p, q).numpy(), rtol=1e-9, atol=1e-12)
+
+
+def test_unfaithfulness_is_per_agent_not_joint() -> None:
+    kl = np.array([[0.0, math.log(2)], [0.0, np.inf]])
+    np.testing.assert_allclose(graph_explanation_unfaithfulness(kl), [0.25, 0.5])
+
+
+def test_unfaithfulness_keeps_small_divergences() -> None:
+    assert graph_explanation_unfaithfulness(np.array([1e-20])) == pytest.approx(1e-20)
+
+
+def test_mask_mass_by_hand() -> None:
+    masks = np.array([[[1.0, 0.0], [0.5, 0.5]], [[1.0, 1.0], [1.0, 1.0]]])
+    np.testing.assert_array_equal(mask_mass(masks), [0.5, 1.0])
+
+
+def test_nan_goes_through() -> None:
+    full = np.zeros((2, 1, 2))
+    kept = full.copy()
+    kept[1, 0, 0] = np.nan
+    result = fidelity(full, kept, full)
+    assert result.minus[0] == 0.0
+    assert np.isnan(result.minus[1])
+    assert np.isnan(result.delta[1])
+    assert np.isnan(graph_explanation_unfaithfulness(np.array([np.nan, 0.0])))

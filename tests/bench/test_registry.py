@@ -1,0 +1,85 @@
+"""Names resolve through entry points, and a plugin that does not load says so."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import MakeBundle
+from xmarl_bench import registry
+from xmarl_bench.errors import InputError
+
+
+def install(monkeypatch: pytest.MonkeyPatch, **plugins: str) -> None:
+    """Pretend that a package registered these explainers: name (with _ for -) = "module:object"."""
+    points = [
+        EntryPoint(name.replace("_", "-"), value, registry.EXPLAINERS) for name, value in plugins.items()
+    ]
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: points if group == registry.EXPLAINERS else []
+    )
+
+
+def test_shipped_explainers_are_found_by_their_names() -> None:
+    names = registry.explainer_names()
+    assert names[:2] == ["all-ones", "random"]
+    assert {"attention", "gnn_explainer", "graphmask-pyg"} <= set(names)
+    found = registry.find_explainer("attention")
+    assert (found.distribution, found.explainer.control) == ("xmarl-bench", False)
+    assert registry.find_explainer("random").explainer.control
+
+
+def test_a_plugin_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, vandal="tests.bench.plugins:vandal")
+    assert registry.find_explainer("vandal").entry_point == "tests.bench.plugins:vandal"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("gone", "tests.bench.no_such_module:x", "ModuleNotFoundError"),
+        ("gone", "tests.bench.plugins:no_such_name", "AttributeError"),
+        ("gone", "tests.bench.plugins:not_an_explainer", "is a str"),
+        ("gone", "tests.bench.plugins:misnamed", "'another'"),
+        ("random", "tests.bench.plugins:vandal", "control"),
+    ],
+)
+def test_a_plugin_that_does_not_load_is_an_error_with_its_name(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, said: str
+) -> None:
+    install(monkeypatch, **{name: value})
+    with pytest.raises(InputError, match=f"'{name}'.*{said}"):
+        for each in registry.explainer_names():
+            registry.find_explainer(each)
+
+
+def test_a_broken_plugin_does_not_stand_in_the_way_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, broken="tests.bench.no_such_module:x", vandal="tests.bench.plugins:vandal")
+    assert registry.find_explainer("vandal").explainer.name == "vandal"
+
+
+def test_an_unknown_name_lists_the_choices_and_the_nearest() -> None:
+    with pytest.raises(InputError, match=r"'atention'.*all-ones.*gnn_explainer.*Did you mean 'attention'\?"):
+        registry.find_explainer("atention")
+
+
+def test_policies_come_from_plugins_or_folders(
+    monkeypatch: pytest.MonkeyPatch, make_bundle: MakeBundle
+) -> None:
+    folder = make_bundle(name="mine")
+    point = EntryPoint("x", "tests.bench.test_registry:shipped", registry.POLICIES)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    monkeypatch.setitem(SHIPPED, "mine", folder)
+    assert registry.find_policies() == {"mine": folder}
+    assert registry.find_policy("mine") == registry.find_policy(str(folder)) == folder
+    with pytest.raises(InputError, match="'yours'.*mine.*folder"):
+        registry.find_policy("yours")
+
+
+SHIPPED: dict[str, Path] = {}
+
+
+def shipped() -> dict[str, Path]:
+    return SHIPPED

@@ -1,0 +1,175 @@
+"""Entries repeat byte for byte, whatever the number of processes and of parallel episodes."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from xmarl_envs import TASKS
+
+from tests.bench.plugins import BAD
+from tests.conftest import MakeBundle
+from xmarl_bench.entry import Entry, write_entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.files import canonical_json
+from xmarl_bench.policy import load_policy
+from xmarl_bench.registry import as_found, find_explainer
+from xmarl_bench.reproducible import FIRST_SEED, derived_seed, episode_seeds
+from xmarl_bench.request import Cell, Request, Sampling
+from xmarl_bench.scoring import score, score_requests
+from xmarl_bench.selection import plan
+
+
+def bytes_of(entry: Entry) -> bytes:
+    """All of an entry but where and how fast it was made."""
+    return canonical_json(entry.model_dump(mode="json", exclude={"provenance", "cost"}))
+
+
+@pytest.mark.parametrize("task", sorted(TASKS))
+def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make_bundle: MakeBundle) -> None:
+    folder = make_bundle(task)
+    runs = [
+        score(folder, "random", episodes=5, max_cycles=30, parallel_episodes=width)
+        for width in (50, 50, 1, 2)
+    ]
+    assert len({bytes_of(entry) for entry in runs}) == 1
+    assert runs[0].results[0].episodes[0].timesteps == 30
+
+
+def test_one_and_two_processes_write_the_same_bytes(make_bundle: MakeBundle) -> None:
+    policies = [load_policy(make_bundle(task, name=task)) for task in sorted(TASKS)]
+    fast, slow = Sampling(episodes=4, max_cycles=25), Sampling(episodes=2, timesteps=1, max_cycles=25)
+    requests = [
+        Request(policy, card, find_explainer("attention"), (Cell(card.task, 3),), fast)
+        for policy, card in policies
+    ]
+    requests += [
+        Request(*policies[0], find_explainer(name), requests[0].cells, slow)
+        for name in ("gnn_explainer", "graphmask-pyg")
+    ]
+    one = [bytes_of(entry) for entry in score_requests(requests, jobs=1)]
+    two = [bytes_of(entry) for entry in score_requests(requests, jobs=2, parallel_episodes=1)]
+    assert one == two
+
+
+def test_an_entry_does_not_depend_on_what_else_is_scored(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    samplings = Sampling(episodes=4, max_cycles=20), Sampling(episodes=2, timesteps=3, max_cycles=20)
+    names = ("random", "attention")
+    requests = [
+        Request(policy, card, find_explainer(name), (Cell(card.task, 3),), sampling)
+        for name in names
+        for sampling in samplings
+    ]
+    together = {bytes_of(entry) for entry in score_requests(requests)}
+    apart = {bytes_of(entry) for request in reversed(requests) for entry in score_requests([request])}
+    assert together == apart
+    assert len(together) == 4
+
+
+def test_another_seed_is_another_score(make_bundle: MakeBundle) -> None:
+    folder = make_bundle()
+    first, second = (score(folder, "attention", episodes=2, max_cycles=10, seed=seed) for seed in (0, 1))
+    assert first.results[0].metrics.fid_plus != second.results[0].metrics.fid_plus
+    assert not set(first.protocol.seeds) & set(second.protocol.seeds)
+
+
+def test_what_an_entry_says(make_bundle: MakeBundle) -> None:
+    entry = score(make_bundle("blind_passage_v0"), "all-ones", episodes=3, timesteps=4, max_cycles=12)
+    (cell,) = entry.results
+    assert (cell.task, cell.n_agents, cell.max_cycles) == ("blind_passage_v0", 3, 12)
+    assert [row.seed for row in cell.episodes] == list(entry.protocol.seeds) == episode_seeds(0, 3)
+    assert [row.timesteps for row in cell.episodes] == [4, 4, 4]
+    assert cell.metrics.no_object_collision is not None
+    assert cell.metrics.fid_minus.value == cell.metrics.gef.value == 0.0
+    assert cell.metrics.fid_minus.interval == (0.0, 0.0)
+    assert cell.metrics.mask_mass.value == 1.0
+    assert (cell.metrics.reward.n, cell.metrics.reward.n_nan) == (3, 0)
+    assert entry.explainer.control
+    assert entry.cost.explained_timesteps == 12
+    assert entry.policy.attention_entropy == 0.5
+    assert entry.provenance.packages["torch"] == version("torch")
+
+
+def test_tasks_without_walls_have_no_object_collision(make_bundle: MakeBundle) -> None:
+    entry = score(make_bundle(), "all-ones", episodes=1, max_cycles=5)
+    assert entry.results[0].metrics.no_object_collision is None
+    assert entry.results[0].metrics.reward.interval is None  # one episode has no interval
+
+
+def test_a_policy_scores_with_any_team_size_its_task_takes(make_bundle: MakeBundle) -> None:
+    folder = make_bundle("blind_passage_v0")
+    assert score(folder, "attention", n_agents=5, episodes=1, max_cycles=5).results[0].n_agents == 5
+    with pytest.raises(InputError, match="1 to 5 agents, got 6"):
+        score(folder, "attention", n_agents=6)
+
+
+@pytest.mark.parametrize("name", sorted(BAD))
+def test_a_bad_explainer_yields_nothing(name: str, make_bundle: MakeBundle) -> None:
+    with pytest.raises(InputError, match=repr(name)):
+        score(make_bundle(), BAD[name], episodes=2, max_cycles=10)
+
+
+def test_a_bad_explainer_is_refused_before_a_good_one_is_scored(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    requests = [
+        Request(policy, card, found, (Cell(card.task, 3),), Sampling(episodes=2, max_cycles=10))
+        for found in (find_explainer("attention"), as_found(BAD["nan"]))
+    ]
+    with pytest.raises(InputError, match="'nan'"):
+        next(score_requests(requests))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"episodes": 0}, "episodes"),
+        ({"seed": -1}, "seed"),
+        ({"timesteps": 0}, "timesteps"),
+        ({"max_cycles": 0}, "max_cycles"),
+        ({"jobs": 0}, "jobs"),
+        ({"parallel_episodes": 0}, "parallel_episodes"),
+        ({"task": "blind_passage_v0"}, "observations of 6 entries"),
+        ({"task": "nowhere_v0"}, "unknown task 'nowhere_v0'"),
+        ({"n_agents": 0}, "got 0"),
+    ],
+)
+def test_options_out_of_range_are_refused(
+    options: dict[str, int | str], said: str, make_bundle: MakeBundle
+) -> None:
+    with pytest.raises(InputError, match=said):
+        score(make_bundle(), "attention", **options)  # type: ignore[arg-type]
+
+
+def test_slow_explainers_get_few_states_and_the_others_both(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    selected = [(policy, card, (Cell(card.task, 3),))]
+    explainers = [find_explainer(name) for name in ("random", "attention", "gnn_explainer")]
+    full, few = Sampling(episodes=50), Sampling(episodes=5, timesteps=20)
+    planned = [
+        (each.explainer.explainer.name, each.sampling) for each in plan(selected, explainers, full, few)
+    ]
+    assert planned == [
+        ("random", full), ("random", few), ("attention", full), ("attention", few), ("gnn_explainer", few),
+    ]  # fmt: skip
+    assert {each.sampling for each in plan(selected, explainers[:2], full, few)} == {full}
+    assert {each.sampling for each in plan(selected, explainers, full)} == {full}
+
+
+def test_seeds_are_far_from_those_of_training_and_never_shared() -> None:
+    assert episode_seeds(0, 3) == [FIRST_SEED, FIRST_SEED + 1, FIRST_SEED + 2]
+    assert min(episode_seeds(0, 1)) > 2**31
+    assert max(episode_seeds(10**9 - 1, 10**6)) < 2**53
+    assert episode_seeds(1, 1)[0] == episode_seeds(0, 10**6)[-1] + 1
+    assert len({derived_seed(*parts) for parts in [("a", 1), ("a1",), ("a", 2), (1, "a")]}) == 4
+
+
+def test_written_entries_are_the_same_files(tmp_path: Path, make_bundle: MakeBundle) -> None:
+    folder = make_bundle()
+    names = [
+        write_entry(tmp_path / "entries", score(folder, "random", episodes=2, max_cycles=10, seed=seed)).name
+        for seed in (0, 0, 1)
+    ]
+    assert names[0] == names[1] != names[2]
+    assert len(list((tmp_path / "entries").iterdir())) == 2

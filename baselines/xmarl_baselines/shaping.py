@@ -43,7 +43,9 @@ def _shaped(task: Task, shaping: Shaping, before: Floats, state: State, step: St
         return gained + arrived - penalty * _contacts(task, state)
     if isinstance(task, BlindPassage) and (shaping.through_gap or shaping.agent_penalty is not None):
         if shaping.through_gap:
-            gained = distance_through_gap(task, before, state) - distance_through_gap(task, state.position, state)
+            gained = distance_through_gap(task, before, state) - distance_through_gap(
+                task, state.position, state
+            )
         else:
             gained = distance(before, state.targets) - distance(state.position, state.targets)
         agent = task.collision_penalty if shaping.agent_penalty is None else shaping.agent_penalty
@@ -61,7 +63,9 @@ def distance_through_gap(task: BlindPassage, position: Floats, state: State) -> 
     below = distance(position, entrance) + distance(entrance, leave) + beyond
     inside = distance(position, leave) + beyond
     y = position[..., 1]
-    way = np.where(y < entrance[..., 1], below, np.where(y < leave[..., 1], inside, distance(position, state.targets)))
+    way = np.where(
+        y < entrance[..., 1], below, np.where(y < leave[..., 1], inside, distance(position, state.targets))
+    )
     return np.asarray(way)
 
 

@@ -54,7 +54,9 @@ class TeamRolloutBuffer(RolloutBuffer):
 
     def compute_returns_and_advantage(self, last_values: Tensor, dones: np.ndarray[Any, Any]) -> None:
         """GAE(lambda), Schulman et al. 2016, for each agent with its own value."""
-        goes_on = np.concatenate([1.0 - self.episode_starts[1:], 1.0 - dones[None].astype(np.float32)])[..., None]
+        goes_on = np.concatenate([1.0 - self.episode_starts[1:], 1.0 - dones[None].astype(np.float32)])[
+            ..., None
+        ]
         next_values = np.concatenate([self.values[1:], last_values.cpu().numpy()[None]])
         delta = self.rewards + self.gamma * next_values * goes_on - self.values
         advantage = np.zeros_like(delta[0])
@@ -64,7 +66,7 @@ class TeamRolloutBuffer(RolloutBuffer):
         self.returns = self.advantages + self.values
 
     def minibatches(self, batch_size: int, normalize_advantage: bool) -> Iterator[TeamSamples]:
-        """One pass over the buffer in a random order; advantages normalised over the whole buffer if asked."""
+        """One pass in a random order; advantages normalised over the whole buffer if asked."""
         advantages = self.advantages
         if normalize_advantage:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)

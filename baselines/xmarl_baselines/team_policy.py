@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import math
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +15,9 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
 from torch.distributions import Normal
 from torch.nn import functional as F
-from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
 
 from xmarl_baselines.fast_layers import speed_up
+from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
 
 SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 cannot tell them apart beyond
 
@@ -48,19 +51,25 @@ class TeamPolicy(ActorCriticPolicy):
         super().__init__(observation_space, action_space, lr_schedule, **kwargs)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {**super()._get_constructor_parameters(), "architecture": self._architecture, "critic": self._critic}
+        return {
+            **super()._get_constructor_parameters(),
+            "architecture": self._architecture,
+            "critic": self._critic,
+        }
 
     def _build(self, lr_schedule: Schedule) -> None:
         assert isinstance(self.observation_space, spaces.Box)
         n_agents, obs_dim = self.observation_space.shape
-        self.actor = GraphPolicy(Architecture.model_validate({**self._architecture, "obs_dim": obs_dim}))
+        # Through JSON: SB3 saves these arguments as such, and tuples come back as lists.
+        record = json.dumps({**self._architecture, "obs_dim": obs_dim})
+        self.actor = GraphPolicy(Architecture.model_validate_json(record))
         speed_up(self.actor)
         widths = (n_agents * obs_dim, *self._critic)
         layers: list[nn.Module] = []
-        for n_in, n_out in zip(widths[:-1], widths[1:], strict=True):
+        for n_in, n_out in pairwise(widths):
             layers += [nn.Linear(n_in, n_out), nn.Tanh()]
         self.critic = nn.Sequential(*layers, nn.Linear(widths[-1], n_agents))
-        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+        self.optimizer = torch.optim.Adam(self.parameters(), lr=lr_schedule(1), eps=1e-5)
 
     def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
         distribution = self.actor.distribution(obs)
@@ -84,9 +93,12 @@ class TeamPolicy(ActorCriticPolicy):
         return Evaluation(log_prob(distribution, action), entropy, attention_entropy)
 
     def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
-        return self(observation, deterministic)[0]
+        action: Tensor = self(observation, deterministic)[0]
+        return action
 
-    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> Any:
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> Any:
         """(N, D) or (B, N, D) observations -> actions of the same leading axes, as SB3 does for vectors."""
         obs = torch.as_tensor(np.asarray(observation, dtype=np.float32), device=self.device)
         with torch.no_grad():
@@ -98,9 +110,11 @@ def log_prob(distribution: ActionDistribution, action: Tensor) -> Tensor:
     """(..., N): log-density of actions in (-1, 1) under the TanhNormal, summed over action entries."""
     raw = torch.atanh(action)
     normal = Normal(distribution.loc, distribution.scale, validate_args=False)
-    return (normal.log_prob(raw) - _log_slope(raw)).sum(dim=-1)
+    density: Tensor = normal.log_prob(raw) - _log_slope(raw)
+    return density.sum(dim=-1)
 
 
 def _log_slope(raw: Tensor) -> Tensor:
     """log(1 - tanh(raw)^2), without cancellation."""
-    return 2.0 * (np.log(2.0) - raw - F.softplus(-2.0 * raw))
+    slope: Tensor = 2.0 * (math.log(2.0) - raw - F.softplus(-2.0 * raw))
+    return slope

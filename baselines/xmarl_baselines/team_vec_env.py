@@ -40,6 +40,7 @@ class TeamVecEnv(VecEnv):
     ) -> None:
         observation_space = spaces.Box(-np.inf, np.inf, (task.n_agents, task.obs_dim), np.float32)
         action_space = spaces.Box(-1.0, 1.0, (task.n_agents, 2), np.float32)
+        self.render_mode = None  # SB3 warns where it finds none
         super().__init__(n_envs, observation_space, action_space)
         self.task = task
         self.shaping = shaping or Shaping()
@@ -50,7 +51,7 @@ class TeamVecEnv(VecEnv):
         self._return = np.zeros(n_envs)
         self._collided = np.zeros(n_envs, dtype=bool)
 
-    def reset(self) -> NDArray[np.float32]:  # type: ignore[override]
+    def reset(self) -> NDArray[np.float32]:
         observation = self._env.reset(self._draw_seeds(self.num_envs))
         # Spread first episodes over their length, so that truncations do not come all at once.
         self._env.cycles[:] = self._rng.integers(0, self._env.max_cycles, self.num_envs)
@@ -61,7 +62,7 @@ class TeamVecEnv(VecEnv):
     def step_async(self, actions: NDArray[np.float32]) -> None:
         self._actions = actions
 
-    def step_wait(  # type: ignore[override]
+    def step_wait(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         before = self._env.world.position.copy()
@@ -76,7 +77,9 @@ class TeamVecEnv(VecEnv):
         for k in ended:
             infos[k] = {
                 "episode": {
-                    "r": float(self._return[k]), "l": int(self._env.cycles[k]), "t": time.time() - self._started,
+                    "r": float(self._return[k]),
+                    "l": int(self._env.cycles[k]),
+                    "t": time.time() - self._started,
                 },
                 "is_success": float(step.success[k].mean()),
                 "no_agent_collision": float(not self._collided[k]),

@@ -1,0 +1,113 @@
+"""How each shipped policy is trained: one recipe per task, every option stated once."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from xmarl_baselines.shaping import Shaping
+from xmarl_bench.errors import InputError
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Hyperparameters of MAPPO on one task. `frames` are team-steps."""
+
+    task: str
+    architecture: dict[str, Any]  # of xmarl_bench.Architecture, without obs_dim
+    critic: tuple[int, ...]
+    frames: int
+    n_envs: int  # teams stepped together
+    n_steps: int  # per team and iteration: an iteration is n_envs * n_steps frames
+    n_epochs: int
+    batch_size: int  # team-steps per gradient step
+    learning_rate: float  # at the start; falls linearly to learning_rate * final_learning_rate
+    final_learning_rate: float = 0.1  # fraction
+    gamma: float = 0.99
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    normalize_advantage: bool = True
+    ent_coef: float = 1e-4
+    max_grad_norm: float = 1.0
+    max_cycles: int | None = None  # of training episodes; None: the task's own
+    distance_attention: float = 0.0  # sharpness of attend_by_distance at the start; 0: torch's initialisation
+    attention_ramp: float = 0.2  # fraction of training over which lambda grows from 0 ...
+    attention_start: float = 0.3  # ... after this fraction without it
+    shaping: Shaping = field(default_factory=Shaping)
+
+    def __post_init__(self) -> None:
+        if (self.n_envs * self.n_steps) % self.batch_size:
+            raise InputError(
+                f"batch_size must divide the {self.n_envs * self.n_steps} frames of an iteration, "
+                f"got {self.batch_size}: choose a divisor."
+            )
+
+    def learning_rate_at(self, remaining: float) -> float:
+        """SB3's schedule: `remaining` falls from 1 to 0."""
+        return self.learning_rate * (self.final_learning_rate + (1.0 - self.final_learning_rate) * remaining)
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+# Architectures: Kailas et al. (ICML 2025), section "Tasks". Hyperparameters: what was seen to learn on this
+# physics; the paper's own (30 epochs, gamma 0.99999, lambda 10 / 50 / 50) are in the README's comparison.
+RECIPES: dict[str, Recipe] = {
+    "blind_navigation_v0": Recipe(
+        task="blind_navigation_v0",
+        architecture={
+            "encoder": (), "encoder_activation": "tanh", "gat_width": 32, "gat_activation": "tanh",
+            "decoder": (256, 256), "decoder_activation": "tanh",
+        },
+        critic=(128, 128),
+        frames=4_500_000,
+        n_envs=120,
+        n_steps=150,
+        n_epochs=4,
+        batch_size=400,
+        learning_rate=7e-4,
+        distance_attention=2.5,
+        shaping=Shaping(
+            proximity_penalty=0.04, proximity_range=0.25, agent_penalty=0.3, individual_progress=True
+        ),
+    ),
+    "blind_passage_v0": Recipe(
+        task="blind_passage_v0",
+        architecture={
+            "encoder": (32, 32, 32, 32), "encoder_activation": "relu",
+            "gat_width": 32, "gat_activation": "tanh",
+            "decoder": (64, 64, 64, 64), "decoder_activation": "relu",
+        },
+        critic=(128, 128),
+        frames=12_000_000,
+        n_envs=128,
+        n_steps=150,
+        n_epochs=4,
+        batch_size=1600,
+        learning_rate=7e-4,
+        max_cycles=150,
+        shaping=Shaping(scale=0.05, agent_penalty=3.0, wall_penalty=0.5, through_gap=True),
+    ),
+    "blind_discovery_v0": Recipe(
+        task="blind_discovery_v0",
+        architecture={
+            "encoder": (64,), "encoder_activation": "relu", "gat_width": 64, "gat_activation": "relu",
+            "decoder": (64, 64), "decoder_activation": "relu",
+        },
+        critic=(128, 128),
+        frames=15_000_000,
+        n_envs=256,
+        n_steps=200,
+        n_epochs=4,
+        batch_size=3200,
+        learning_rate=1.5e-3,
+        gamma=0.995,
+    ),
+}  # fmt: skip
+
+
+def recipe_for(task: str, **changes: Any) -> Recipe:
+    """The recipe of a task, with fields changed. Raises InputError for an unknown task."""
+    if task not in RECIPES:
+        raise InputError(f"no training recipe for task {task!r}: choose one of {', '.join(RECIPES)}.")
+    return replace(RECIPES[task], **changes)

@@ -1,0 +1,112 @@
+"""`xmarl-train`: train one policy with MAPPO, with progress, checkpoints and resume."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from xmarl_baselines.recipes import recipe_for
+from xmarl_baselines.trainer import Report, Run, one_thread, train
+from xmarl_bench.errors import InputError
+from xmarl_bench.evaluation import evaluate
+from xmarl_bench.policy import PolicyCard, save_policy
+from xmarl_bench.request import Cell, Sampling
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def command(
+    task: Annotated[str, typer.Option(help="blind_navigation_v0, blind_passage_v0 or blind_discovery_v0")],
+    agents: Annotated[int, typer.Option(help="team size N")] = 3,
+    attention_entropy: Annotated[float, typer.Option(help="lambda of the attention-entropy term")] = 0.0,
+    seed: Annotated[int, typer.Option(help="training seed")] = 0,
+    frames: Annotated[int | None, typer.Option(help="team-steps; the recipe's own number by default")] = None,
+    out: Annotated[Path, typer.Option(help="folder for runs; this one gets its own in it")] = Path("runs"),
+    resume: Annotated[bool, typer.Option(help="go on with an interrupted run")] = False,
+    episodes: Annotated[int, typer.Option(help="episodes of the evaluation at the end")] = 50,
+) -> None:
+    """Train one graph-attention policy and write it as a bundle that `xmarl-bench score --policy` takes."""
+    run = Run(
+        recipe_for(task, **({} if frames is None else {"frames": frames})), agents, attention_entropy, seed
+    )
+    folder = out / run.name
+    card = train_and_save(run, folder, resume=resume, episodes=episodes)
+    Console().print(f"{folder / 'policy'}: {card.performance}")
+
+
+def train_and_save(run: Run, folder: Path, *, resume: bool, episodes: int) -> PolicyCard:
+    """Train, measure on `episodes` deterministic episodes, write RUN/policy; returns its card."""
+    one_thread()
+    with _progress(run) as report:
+        policy, seconds = train(run, folder, resume=resume, report=report)
+    cell = Cell(run.recipe.task, run.n_agents)
+    (performance,) = evaluate([(policy, cell)], Sampling(episodes=episodes))
+    return save_policy(
+        folder / "policy",
+        policy,
+        name=run.name,
+        task=run.recipe.task,
+        n_agents=run.n_agents,
+        attention_entropy=run.attention_entropy,
+        training_seed=run.seed,
+        training={
+            **run.settings(),
+            "frames": run.recipe.frames,
+            "seconds": round(seconds, 1),
+            "command": f"xmarl-train {shlex.join(sys.argv[1:])}",
+        },
+        performance=performance.record(),
+    )
+
+
+@contextmanager
+def _progress(run: Run) -> Iterator[Report]:
+    """A bar on a terminal; in a log file, a line a minute."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[seen]}"),
+        TimeElapsedColumn(), TimeRemainingColumn(),
+    )  # fmt: skip
+    last_line = time.monotonic()
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task(run.name, total=run.recipe.frames, seen="")
+
+        def report(frames: int, log: dict[str, float]) -> None:
+            nonlocal last_line
+            seen = f"{frames / 1e6:.1f} of {run.recipe.frames / 1e6:.1f} M frames"
+            if "rollout/is_success" in log:
+                seen += f", success {log['rollout/is_success']:.2f} while exploring"
+            progress.update(bar, completed=frames, seen=seen)
+            if not console.is_terminal and time.monotonic() - last_line > 60:
+                last_line = time.monotonic()
+                console.print(f"{run.name}: {seen}", highlight=False)
+
+        yield report
+
+
+def main() -> None:
+    """Console entry point: bad input is one sentence and exit code 2; an interrupted run can be resumed."""
+    try:
+        app(standalone_mode=False)
+    except (InputError, ValueError) as error:
+        Console(stderr=True).print(
+            f"xmarl-train: {error}", style="red", markup=False, highlight=False, soft_wrap=True
+        )
+        sys.exit(2)
+    except typer.Exit as stop:
+        sys.exit(stop.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        Console(stderr=True).print(
+            "stopped; the same command with --resume goes on from the last checkpoint."
+        )
+        sys.exit(130)

@@ -1,0 +1,183 @@
+"""One training run in one folder: checkpoints, resume, and at the end a policy bundle.
+
+    RUN/settings.json        what is trained; a run is resumed only with the same settings
+    RUN/checkpoint.zip       SB3's zip of weights and optimiser
+    RUN/progress.json        frames and seconds so far
+    RUN/tensorboard/         SB3's log
+    RUN/policy/              the finished bundle (policy.safetensors, policy.json)
+
+Resuming reads weights and optimiser alone (SB3's `set_parameters`, which loads tensors, not pickles) and
+draws new random numbers from (seed, frames): an interrupted run is as good as a whole one, not the same run.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from xmarl_envs import make_task
+
+from xmarl_baselines.distance_attention import attend_by_distance
+from xmarl_baselines.mappo import MAPPO
+from xmarl_baselines.recipes import Recipe
+from xmarl_baselines.team_vec_env import TeamVecEnv
+from xmarl_bench.errors import InputError
+from xmarl_bench.files import write_json
+from xmarl_bench.policy import GraphPolicy
+
+Report = Callable[[int, dict[str, float]], None]  # frames so far, SB3's log of the last iteration
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is trained. `attention_entropy` is lambda of the attention-entropy term."""
+
+    recipe: Recipe
+    n_agents: int = 3
+    attention_entropy: float = 0.0
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        short = self.recipe.task.removeprefix("blind_").rsplit("_", 1)[0]
+        return f"{short}-n{self.n_agents}-lambda{self.attention_entropy:g}-seed{self.seed}"
+
+    def settings(self) -> dict[str, Any]:
+        """As plain JSON, for settings.json and the policy's card."""
+        settings: dict[str, Any] = json.loads(
+            json.dumps(
+                {
+                    "n_agents": self.n_agents,
+                    "attention_entropy": self.attention_entropy,
+                    "seed": self.seed,
+                    "recipe": self.recipe.as_dict(),
+                }
+            )
+        )
+        return settings
+
+
+def train(
+    run: Run,
+    folder: Path,
+    *,
+    resume: bool = False,
+    checkpoint_every: int = 10,
+    report: Report | None = None,
+) -> tuple[GraphPolicy, float]:
+    """Train to the end of the recipe; returns the policy in its plain form and the seconds it took.
+
+    checkpoint_every: iterations between checkpoints. Raises InputError where `folder` holds another run, or
+    one that was begun and `resume` is not set.
+    """
+    frames, seconds = _begin(run, folder, resume)
+    model = build(run, seed=run.seed + frames, tensorboard=folder / "tensorboard")
+    if frames:
+        model.set_parameters(str(folder / "checkpoint.zip"), device="cpu")
+        model.num_timesteps = frames
+    if frames < run.recipe.frames:
+        keeper = _Keeper(folder, checkpoint_every, seconds, report)
+        model.learn(
+            run.recipe.frames - frames, callback=keeper, reset_num_timesteps=frames == 0, tb_log_name=run.name
+        )
+        keeper.save()
+        seconds = keeper.seconds
+    return plain_actor(model), seconds
+
+
+def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
+    """The learner of a run, untrained."""
+    recipe = run.recipe
+    task = make_task(recipe.task, run.n_agents)
+    env = TeamVecEnv(task, recipe.n_envs, seed=seed, shaping=recipe.shaping, max_cycles=recipe.max_cycles)
+    model = MAPPO(
+        "TeamPolicy",
+        env,
+        learning_rate=recipe.learning_rate_at,
+        n_steps=recipe.n_steps,
+        batch_size=recipe.batch_size,
+        n_epochs=recipe.n_epochs,
+        gamma=recipe.gamma,
+        gae_lambda=recipe.gae_lambda,
+        clip_range=recipe.clip_range,
+        normalize_advantage=recipe.normalize_advantage,
+        ent_coef=recipe.ent_coef,
+        vf_coef=1.0,
+        max_grad_norm=recipe.max_grad_norm,
+        attention_entropy=run.attention_entropy,
+        attention_ramp=recipe.attention_ramp,
+        attention_start=recipe.attention_start,
+        policy_kwargs={"architecture": recipe.architecture, "critic": recipe.critic},
+        tensorboard_log=None if tensorboard is None else str(tensorboard),
+        device="cpu",
+        seed=seed,
+    )
+    if recipe.distance_attention:
+        attend_by_distance(model.policy.actor, recipe.distance_attention)
+    return model
+
+
+def plain_actor(model: MAPPO) -> GraphPolicy:
+    """The actor without the trainer's faster layers: what is saved and scored."""
+    actor = GraphPolicy(model.policy.actor.architecture)
+    actor.load_state_dict(model.policy.actor.state_dict())
+    return actor.eval()
+
+
+def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float]:
+    """Frames and seconds done so far in `folder`; writes the settings of a new run."""
+    settings, progress = folder / "settings.json", folder / "progress.json"
+    if not settings.exists():
+        write_json(settings, run.settings())
+        return 0, 0.0
+    if json.loads(settings.read_text()) != run.settings():
+        raise InputError(f"{folder} holds a run with other settings: choose another --out, or remove it.")
+    if not resume:
+        raise InputError(f"{folder} holds this run already: add --resume to go on with it, or remove it.")
+    if not progress.exists():
+        return 0, 0.0
+    done = json.loads(progress.read_text())
+    return int(done["frames"]), float(done["seconds"])
+
+
+class _Keeper(BaseCallback):
+    """Saves checkpoints and reports progress after every iteration."""
+
+    def __init__(self, folder: Path, every: int, seconds: float, report: Report | None) -> None:
+        super().__init__()
+        self._folder, self._every, self._report = folder, every, report
+        self._earlier, self._started = seconds, time.monotonic()
+        self._iterations = 0
+
+    @property
+    def seconds(self) -> float:
+        return self._earlier + time.monotonic() - self._started
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:  # the update of the iteration before is done
+        self._iterations += 1
+        if self._report is not None:
+            self._report(self.num_timesteps, dict(self.logger.name_to_value))
+        if self._iterations % self._every == 0:
+            self.save()
+
+    def save(self) -> None:
+        """Checkpoint first, progress after it: a kill between the two repeats some frames, loses none."""
+        self.model.save(self._folder / "checkpoint.new.zip")
+        (self._folder / "checkpoint.new.zip").replace(self._folder / "checkpoint.zip")
+        write_json(
+            self._folder / "progress.json", {"frames": self.model.num_timesteps, "seconds": self.seconds}
+        )
+
+
+def one_thread() -> None:
+    """Training runs one thread per process: two runs side by side beat one run on two threads."""
+    torch.set_num_threads(1)

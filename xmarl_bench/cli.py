@@ -77,6 +77,7 @@ def score(
     from xmarl_bench import report
     from xmarl_bench.board import build_board
     from xmarl_bench.entry import read_entries, write_entry
+    from xmarl_bench.files import check_writable
     from xmarl_bench.request import Sampling
     from xmarl_bench.scoring import score_requests
     from xmarl_bench.selection import plan, select_explainers, select_policies
@@ -89,6 +90,7 @@ def score(
     )
     explainers = select_explainers(explainer)
     requests = plan(select_policies(policy, task, agents), explainers, sampling, slow)
+    check_writable(out)
     read_entries(out / "entries")  # a board that could not be rebuilt afterwards is refused now
     entries = []
     for entry in score_requests(
@@ -168,3 +170,7 @@ def main() -> None:
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         raise SystemExit(130) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -37,6 +37,7 @@ def fan_out(
         TimeRemainingColumn(),
         console=Console(stderr=True),
         disable=progress is None,
+        transient=True,  # what stays on stderr is errors, one sentence each
     )
     with bar:
         task = bar.add_task(progress or "", total=len(units))

@@ -20,6 +20,7 @@ from xmarl_envs import TASKS
 from xmarl_bench.controls import CONTROLS
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
+from xmarl_bench.policy.bundle import CARD
 from xmarl_bench.provenance import package_version
 
 EXPLAINERS, POLICIES = "xmarl_bench.explainers", "xmarl_bench.policies"
@@ -99,9 +100,9 @@ def find_policies() -> dict[str, Path]:
 
 
 def find_policy(name_or_folder: str) -> Path:
-    """The bundle's folder. What has a path separator or holds a bundle is a folder, anything else a name."""
+    """The bundle's folder. What holds a bundle or has a path separator is a folder, anything else a name."""
     folder = Path(name_or_folder)
-    if folder.is_dir() or len(folder.parts) > 1:
+    if (folder / CARD).is_file() or len(folder.parts) > 1:
         return folder
     policies = find_policies()
     if name_or_folder not in policies:

@@ -6,13 +6,15 @@ h_i = sum_j m_ij alpha_ij W_l x_j + b.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from xmarl_bench.policy import GraphPolicy
 
 Floats = NDArray[np.float64]
-ACTIVATION = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+ACTIVATION: dict[str, Callable[[Floats], Floats]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
 
 def reference_distribution(policy: GraphPolicy, observation: Floats, mask: Floats) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import MakeBundle
-from xmarl_bench.board import board_of, build_board
+from xmarl_bench.board import board_of, build_board, render
 from xmarl_bench.entry import Entry, Record, write_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import load_policy
@@ -75,8 +75,6 @@ def test_the_page_shows_the_numbers_loads_nothing_and_escapes(tmp_path: Path, en
     policy = entries[0].policy.model_copy(update={"name": "<script>x</script>"})
     hostile = entries[0].model_copy(update={"policy": policy})
     board = board_of([("x.json", hostile), *((entry.file_name, entry) for entry in entries[1:])])
-    from xmarl_bench.board import render
-
     page = render(board)
     assert "<script" not in page
     assert "&lt;script&gt;" in page

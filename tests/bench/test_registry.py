@@ -74,7 +74,7 @@ def test_policies_come_from_plugins_or_folders(
     monkeypatch.setitem(SHIPPED, "mine", folder)
     assert registry.find_policies() == {"mine": folder}
     assert registry.find_policy("mine") == registry.find_policy(str(folder)) == folder
-    with pytest.raises(InputError, match="'yours'.*mine.*folder"):
+    with pytest.raises(InputError, match=r"'yours'.*mine.*folder"):
         registry.find_policy("yours")
 
 

@@ -1,0 +1,28 @@
+"""Every registered policy loads, is filed under its own name and can be scored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from xmarl_bench.entry import read_entry, write_entry
+from xmarl_bench.policy import load_policy
+from xmarl_bench.registry import find_policies
+from xmarl_bench.scoring import score
+
+
+def test_every_shipped_policy_scores(tmp_path: Path) -> None:
+    policies = find_policies()
+    if not policies:
+        pytest.skip("no policy is registered")
+    for name, folder in policies.items():
+        _, card = load_policy(folder)
+        assert card.name == name
+        entry = score(name, "attention", episodes=2, timesteps=5)
+        (cell,) = entry.results
+        assert (cell.task, cell.n_agents) == (card.task, card.n_agents)
+        assert cell.metrics.fid_plus.n_nan == cell.metrics.gef.n_nan == 0
+        dependence = cell.metrics.communication_dependence.value
+        assert dependence is not None, name
+        assert dependence > 0.0, f"{name} ignores its team: every explanation of it is trivially faithful"
+        assert read_entry(write_entry(tmp_path, entry)) == entry

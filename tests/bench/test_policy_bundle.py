@@ -1,0 +1,48 @@
+"""Policies on disk: what is saved is what is loaded. Damaged bundles are in test_cli."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.conftest import MakeBundle
+from tests.policies import random_observations, small_policy
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import load_policy, save_policy
+from xmarl_bench.policy.bundle import CARD
+
+
+def test_round_trip_to_the_bit(tmp_path: Path) -> None:
+    policy = small_policy(6, 3)
+    saved = save_policy(
+        tmp_path / "x", policy, name="x", task="blind_navigation_v0", n_agents=3, attention_entropy=0.1
+    )
+    loaded, card = load_policy(tmp_path / "x")
+    assert card == saved
+    assert not loaded.training
+    observations = random_observations(4, 3, 6)
+    with torch.no_grad():
+        assert torch.equal(loaded.distribution(observations).loc, policy.distribution(observations).loc)
+    again = save_policy(tmp_path / "y", loaded, **card.model_dump(exclude={"architecture", "weights_sha256"}))
+    assert again.weights_sha256 == card.weights_sha256
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("surprise", 1, "surprise"),
+        ("name", "../escape", "name"),
+        ("weights_sha256", "abc", "weights_sha256"),
+        ("architecture", {"kind": "pickle"}, "architecture"),
+        ("n_agents", 0, "n_agents"),
+    ],
+)
+def test_a_card_that_is_none_is_refused(make_bundle: MakeBundle, key: str, value: object, said: str) -> None:
+    folder = make_bundle()
+    card = json.loads((folder / CARD).read_text())
+    (folder / CARD).write_text(json.dumps(card | {key: value}))
+    with pytest.raises(InputError, match=said):
+        load_policy(folder)

@@ -29,14 +29,15 @@ def fan_out(
 
     A worker gets pickled copies, so results must not depend on which process computes them.
     """
+    console = Console(stderr=True)
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=progress is None,
+        console=console,
+        disable=progress is None or not console.is_terminal,
         transient=True,  # what stays on stderr is errors, one sentence each
     )
     with bar:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from xmarl_bench.entry import read_entry, write_entry
 from xmarl_bench.policy import load_policy
 from xmarl_bench.registry import find_policies

@@ -95,13 +95,14 @@ RECIPES: dict[str, Recipe] = {
             "decoder": (64, 64), "decoder_activation": "relu",
         },
         critic=(128, 128),
-        frames=15_000_000,
+        frames=10_000_000,
         n_envs=256,
         n_steps=200,
         n_epochs=4,
-        batch_size=3200,
+        batch_size=2560,
         learning_rate=1.5e-3,
         gamma=0.995,
+        shaping=Shaping(landmark_progress=1.0),
     ),
 }  # fmt: skip
 

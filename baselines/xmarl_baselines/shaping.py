@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from xmarl_envs import BlindNavigation, BlindPassage, State, Step, Task
+from xmarl_envs import BlindDiscovery, BlindNavigation, BlindPassage, State, Step, Task
 from xmarl_envs.task import Floats, distance
 
 
@@ -20,6 +20,7 @@ class Shaping:
     proximity_range: float = 0.0  # m between surfaces
     individual_progress: bool = False  # navigation: each agent is paid for its own distance
     through_gap: bool = False  # passage: distance is measured through the gap, not through the wall
+    landmark_progress: float = 0.0  # discovery: per metre nearer to the landmark while anyone senses it
     arrival_bonus: float = 0.0  # to every agent when the team is done
     time_penalty: float = 0.0  # per step and agent
 
@@ -51,6 +52,10 @@ def _shaped(task: Task, shaping: Shaping, before: Floats, state: State, step: St
         agent = task.collision_penalty if shaping.agent_penalty is None else shaping.agent_penalty
         wall = task.collision_penalty if shaping.wall_penalty is None else shaping.wall_penalty
         return task.distance_reward * gained - agent * _contacts(task, state) - wall * step.object_collision
+    if isinstance(task, BlindDiscovery) and shaping.landmark_progress:
+        gained = distance(before, state.targets) - distance(state.position, state.targets)
+        sensed = (distance(before, state.targets) <= task.sensing_range).any(axis=-1, keepdims=True)
+        return step.reward + shaping.landmark_progress * gained * sensed
     return step.reward
 
 

@@ -93,14 +93,17 @@ def score(
     check_writable(out)
     read_entries(out / "entries")  # a board that could not be rebuilt afterwards is refused now
     entries = []
-    for entry in score_requests(
-        requests, jobs=jobs, parallel_episodes=parallel_episodes, progress=True, submitter=submitter
-    ):
-        path = write_entry(out / "entries", entry)
-        entries.append(entry)
-        if not sys.stderr.isatty():  # a log, which shows no progress bar
-            print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
-    board = build_board(out)
+    try:
+        for entry in score_requests(
+            requests, jobs=jobs, parallel_episodes=parallel_episodes, progress=True, submitter=submitter
+        ):
+            path = write_entry(out / "entries", entry)
+            entries.append(entry)
+            if not sys.stderr.isatty():  # a log, which shows no progress bar
+                print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
+    finally:
+        if entries:  # an interrupted run keeps what it finished
+            board = build_board(out)
     report.print_scores(entries, [found.explainer for found in explainers])
     print(f"{len(entries)} entries in {out / 'entries'}, leaderboard in {board} and {out / 'index.html'}.")
 

@@ -218,6 +218,18 @@ def test_bad_explainers(name: str, said: str, run_cli: RunCli, make_bundle: Make
 
 
 @pytest.mark.usefixtures("plugins")
+def test_what_was_finished_before_an_error_stays_and_is_on_the_board(
+    run_cli: RunCli, make_bundle: MakeBundle, out: Path
+) -> None:
+    chosen = ("--explainer", "random", "--explainer", "late-nan")
+    ran = run_cli("score", "--policy", make_bundle(), *chosen, *QUICK, "--out", out)
+    assert ran.code == 2
+    assert len(ran.err.splitlines()) == 1
+    (table,) = json.loads((out / "leaderboard.json").read_text())["tables"]
+    assert [row["explainer"] for row in table["policies"][0]["rows"]] == ["random"]
+
+
+@pytest.mark.usefixtures("plugins")
 def test_a_bad_explainer_is_refused_in_a_worker_process_too(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path
 ) -> None:

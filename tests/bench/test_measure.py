@@ -142,6 +142,18 @@ def test_a_row_does_not_depend_on_threads_or_alignment() -> None:
         torch.set_num_threads(threads)
 
 
+def test_explainers_run_on_one_thread() -> None:
+    def explain(policy: GraphPolicy, observations: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        return torch.full((30, 3, 3), 1.0 / torch.get_num_threads())
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        assert row_of(Explainer("threads", explain)).mask_mass == 1.0
+    finally:
+        torch.set_num_threads(threads)
+
+
 def test_task_metrics_pass_into_the_row() -> None:
     row = row_of(CONTROLS["all-ones"])
     assert (row.reward, row.success_rate, row.no_agent_collision, row.makespan) == (-1.5, 1 / 3, 0.0, 30.0)

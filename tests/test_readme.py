@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+
+from xmarl_bench.registry import find_policies
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -18,7 +19,7 @@ def test_there_is_code() -> None:
     assert "score(" in BLOCKS[0]
 
 
-@pytest.mark.skipif(find_spec("xmarl_baselines.policies") is None, reason="no policy is shipped yet")
+@pytest.mark.skipif(not find_policies(), reason="no policy is shipped yet")
 def test_the_example_scores(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(BLOCKS[0], "README.md", "exec"), {"__name__": "readme"})
     printed = capsys.readouterr().out.splitlines()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -97,7 +98,7 @@ class _Run:
         with one_thread():
             return roll_out(
                 self.cell.make(),
-                self.policy,
+                copy.deepcopy(self.policy),  # memory as torch lays it out, see xmarl_bench.measure
                 self.seeds,
                 parallel_episodes=len(self.seeds),
                 max_cycles=self.max_cycles,

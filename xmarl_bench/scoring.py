@@ -6,6 +6,7 @@ number of jobs and parallel episodes.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,7 +123,7 @@ class _Rollout:
         with one_thread():
             return roll_out(
                 self.cell.make(),
-                self.policy,
+                copy.deepcopy(self.policy),  # memory as torch lays it out, see xmarl_bench.measure
                 self.seeds,
                 parallel_episodes=self.parallel_episodes,
                 max_cycles=self.max_cycles,

@@ -44,6 +44,12 @@ def test_attention_is_what_pyg_calls_attention() -> None:
     assert not torch.allclose(mask, mask.transpose(1, 2))  # so the test would see rows and columns mixed up
 
 
+def test_the_adapter_keeps_rows_and_columns_apart() -> None:
+    policy, observations = small_policy(6, 1), random_observations(3, 4, 6)
+    mask = PygExplain(AttentionExplainer)(policy, observations, torch.Generator())
+    torch.testing.assert_close(mask, policy.prepare(observations).attention.detach(), rtol=0, atol=1e-6)
+
+
 def test_the_adapter_runs_gnn_explainer_as_pyg_does() -> None:
     policy, observations = small_policy(6, 1), random_observations(2, 3, 6)
     adapter = PygExplain(make_algorithm)

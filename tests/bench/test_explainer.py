@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import Tensor
 
 from tests.bench.plugins import BAD, vandal
 from tests.policies import random_observations, small_policy
@@ -51,7 +52,7 @@ def test_whatever_an_explainer_does_the_policy_and_the_random_state_stay() -> No
 def test_explainers_may_differentiate_wherever_they_are_called(grad: type[torch.no_grad]) -> None:
     def explain(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
         mask = torch.full((2, 3, 3), 0.5, requires_grad=True)
-        policy.distribution(observations, mask).action.sum().backward()  # type: ignore[no-untyped-call]
+        policy.distribution(observations, mask).action.sum().backward()
         assert mask.grad is not None
         return torch.sigmoid(mask.grad)
 

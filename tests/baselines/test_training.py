@@ -19,9 +19,10 @@ from xmarl_baselines.shaping import Shaping, distance_through_gap, training_rewa
 from xmarl_baselines.team_policy import log_prob
 from xmarl_baselines.team_vec_env import TeamVecEnv
 from xmarl_baselines.trainer import Run, build, plain_actor, train
+from xmarl_envs import TASKS, BlindPassage, State, VectorEnv, make_task
+
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
-from xmarl_envs import TASKS, BlindPassage, State, VectorEnv, make_task
 
 
 def small(task: str = "blind_navigation_v0", **changes: object) -> Recipe:
@@ -145,7 +146,9 @@ def test_truncated_teams_are_bootstrapped_and_ended_ones_are_not() -> None:
     with torch.no_grad():
         for parameter in model.policy.critic.parameters():
             parameter.zero_()
-        model.policy.critic[-1].bias += 100.0  # type: ignore[operator, union-attr]
+        last = model.policy.critic[-1]
+        assert isinstance(last, torch.nn.Linear)
+        last.bias.add_(100.0)
     model.learn(6)
     rewards = model.rollout_buffer.rewards
     assert (np.abs(rewards) > 40).all(axis=-1).sum() == 2  # each team was truncated once, worth 0.5 * 100
@@ -236,7 +239,7 @@ def test_attention_by_distance_prefers_self_then_the_nearest() -> None:
 
 
 def test_bad_recipes_and_tasks_are_refused() -> None:
-    with pytest.raises(InputError, match="unknown|no training recipe"):
+    with pytest.raises(InputError, match=r"unknown|no training recipe"):
         recipe_for("blind_chess_v0")
     with pytest.raises(InputError, match="batch_size must divide"):
         small(batch_size=7)

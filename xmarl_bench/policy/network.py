@@ -7,6 +7,7 @@ A action entries. `mask[s, i, j]` scales the message on edge j -> i (sender j, r
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -104,6 +105,6 @@ def complete_graph(n_agents: int) -> Tensor:
 
 def _mlp(widths: tuple[int, ...], activation: str) -> nn.Sequential:
     layers: list[nn.Module] = []
-    for n_in, n_out in zip(widths[:-1], widths[1:], strict=True):
+    for n_in, n_out in pairwise(widths):
         layers += [nn.Linear(n_in, n_out), ACTIVATIONS[activation]()]
     return nn.Sequential(*layers)

@@ -43,9 +43,10 @@ def select_policies(
             if card.task in wanted_tasks and (sizes is None or card.n_agents in sizes)
         ]
         if not folders:
+            tasks_asked = "any task" if ALL in tasks else " or ".join(wanted_tasks)
+            sizes_asked = "any number of" if sizes is None else " or ".join(map(str, sizes))
             raise InputError(
-                f"no policy is installed for task {' or '.join(wanted_tasks)} with "
-                f"{'any number of' if sizes is None else ' or '.join(map(str, sizes))} agents: "
+                f"no policy is installed for {tasks_asked} with {sizes_asked} agents: "
                 f"see `xmarl-bench list policies`, or give the folder of a policy bundle."
             )
         sizes = None

@@ -1,0 +1,31 @@
+"""The public API is what it says, loads lazily, and names nothing of the baselines. The arrow of imports
+is in tests/test_imports.py."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import xmarl_bench
+
+PACKAGE = Path(xmarl_bench.__file__).parent
+
+
+def test_the_harness_names_no_explainer_or_policy_of_the_baselines() -> None:
+    for file in PACKAGE.rglob("*"):
+        if file.suffix in (".py", ".jinja"):
+            text = file.read_text()
+            for name in ("xmarl_baselines", "gnn_explainer", "graphmask-pyg"):
+                assert name not in text, f"{file} names {name}"
+
+
+def test_the_public_api_is_there_and_lazy() -> None:
+    for name in xmarl_bench.__all__:
+        assert getattr(xmarl_bench, name) is not None
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        _ = xmarl_bench.no_such_thing
+    code = "import sys, xmarl_bench.errors, xmarl_bench.cli; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0

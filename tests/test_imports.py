@@ -38,3 +38,8 @@ def imported(file: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             names.add(node.module.split(".")[0])
     return names
+
+
+def test_the_environments_need_no_learning_library() -> None:
+    for file in Path(str(xmarl_envs.__file__)).parent.rglob("*.py"):
+        assert not imported(file) & {"torch", "torch_geometric", "stable_baselines3"}, file

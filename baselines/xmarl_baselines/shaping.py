@@ -9,6 +9,9 @@ from xmarl_envs import BlindDiscovery, BlindNavigation, BlindPassage, State, Ste
 from xmarl_envs.task import Floats, distance
 
 
+STANDING = 0.05  # m/s; full thrust reaches 0.37
+
+
 @dataclass(frozen=True)
 class Shaping:
     """What the trainer adds to, or replaces in, a task's reward. The defaults leave it as it is."""
@@ -22,6 +25,7 @@ class Shaping:
     through_gap: bool = False  # passage: distance is measured through the gap, not through the wall
     landmark_progress: float = 0.0  # discovery: per metre nearer to the landmark while anyone senses it
     arrival_bonus: float = 0.0  # to every agent when the team is done
+    stall_penalty: float = 0.0  # per step to an agent that stands still away from its goal
     time_penalty: float = 0.0  # per step and agent
 
 
@@ -31,6 +35,9 @@ def training_reward(task: Task, shaping: Shaping, before: Floats, state: State, 
     reward = reward + shaping.arrival_bonus * step.terminated[:, None] - shaping.time_penalty
     if shaping.proximity_penalty:
         reward = reward - shaping.proximity_penalty * _proximity(task, shaping, state)
+    if shaping.stall_penalty:
+        slow = distance(state.velocity, np.zeros(2)) < STANDING
+        reward = reward - shaping.stall_penalty * (slow & ~step.success)
     return shaping.scale * reward
 
 

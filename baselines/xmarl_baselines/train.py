@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 import time
 from collections.abc import Iterator
@@ -21,7 +20,7 @@ from xmarl_bench.evaluation import evaluate
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.request import Cell, Sampling
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
@@ -36,11 +35,16 @@ def command(
     episodes: Annotated[int, typer.Option(help="episodes of the evaluation at the end")] = 50,
 ) -> None:
     """Train one graph-attention policy and write it as a bundle that `xmarl-bench score --policy` takes."""
+    Cell(task, agents)  # refuses a team that the task does not take
     run = Run(
         recipe_for(task, **({} if frames is None else {"frames": frames})), agents, attention_entropy, seed
     )
     folder = out / run.name
-    card = train_and_save(run, folder, resume=resume, episodes=episodes)
+    try:
+        card = train_and_save(run, folder, resume=resume, episodes=episodes)
+    except KeyboardInterrupt:
+        print("xmarl-train: stopped; the same command with --resume goes on.", file=sys.stderr)
+        raise typer.Exit(130) from None
     Console().print(f"{folder / 'policy'}: {card.performance}")
 
 
@@ -63,7 +67,8 @@ def train_and_save(run: Run, folder: Path, *, resume: bool, episodes: int) -> Po
             **run.settings(),
             "frames": run.recipe.frames,
             "seconds": round(seconds, 1),
-            "command": f"xmarl-train {shlex.join(sys.argv[1:])}",
+            "command": f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
+            f"--attention-entropy {run.attention_entropy:g} --seed {run.seed}",
         },
         performance=performance.record(),
     )
@@ -97,16 +102,11 @@ def _progress(run: Run) -> Iterator[Report]:
 def main() -> None:
     """Console entry point: bad input is one sentence and exit code 2; an interrupted run can be resumed."""
     try:
-        app(standalone_mode=False)
-    except (InputError, ValueError) as error:
-        Console(stderr=True).print(
-            f"xmarl-train: {error}", style="red", markup=False, highlight=False, soft_wrap=True
-        )
-        sys.exit(2)
-    except typer.Exit as stop:
-        sys.exit(stop.exit_code)
-    except (KeyboardInterrupt, typer.Abort):
-        Console(stderr=True).print(
-            "stopped; the same command with --resume goes on from the last checkpoint."
-        )
-        sys.exit(130)
+        app()
+    except InputError as error:
+        print(f"xmarl-train: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

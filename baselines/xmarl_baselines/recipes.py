@@ -34,6 +34,10 @@ class Recipe:
     attention_ramp: float = 0.2  # fraction of training over which lambda grows from 0 ...
     attention_start: float = 0.3  # ... after this fraction without it
     shaping: Shaping = field(default_factory=Shaping)
+    caution_growth: float = (
+        1.0  # how much larger agent and proximity penalties are at the end than at the start
+    )
+    enough_success: float = 1.0  # model selection: beyond this, fewer collisions count for more
 
     def __post_init__(self) -> None:
         if (self.n_envs * self.n_steps) % self.batch_size:
@@ -67,15 +71,17 @@ RECIPES: dict[str, Recipe] = {
         batch_size=400,
         learning_rate=7e-4,
         distance_attention=2.5,
-        ent_coef=-0.01,  # less noise: agents that wait for each other part by noise, and need not learn to
+        ent_coef=-0.02,  # less noise: agents that wait for each other part by noise, and need not learn to
         shaping=Shaping(
-            proximity_penalty=0.07,
+            proximity_penalty=0.04,
             proximity_range=0.15,
-            agent_penalty=0.4,
+            agent_penalty=0.25,
             individual_progress=True,
             arrival_bonus=2.0,
-            stall_penalty=0.05,
+            time_penalty=0.02,
         ),
+        caution_growth=5.0,
+        enough_success=0.96,
     ),
     "blind_passage_v0": Recipe(
         task="blind_passage_v0",

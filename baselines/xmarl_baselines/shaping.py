@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from xmarl_envs import BlindDiscovery, BlindNavigation, BlindPassage, State, Step, Task
 from xmarl_envs.task import Floats, distance
-
-
-STANDING = 0.05  # m/s; full thrust reaches 0.37
 
 
 @dataclass(frozen=True)
@@ -25,19 +22,21 @@ class Shaping:
     through_gap: bool = False  # passage: distance is measured through the gap, not through the wall
     landmark_progress: float = 0.0  # discovery: per metre nearer to the landmark while anyone senses it
     arrival_bonus: float = 0.0  # to every agent when the team is done
-    stall_penalty: float = 0.0  # per step to an agent that stands still away from its goal
-    time_penalty: float = 0.0  # per step and agent
+    time_penalty: float = 0.0  # per step to an agent away from its goal
+
+    def with_caution(self, factor: float) -> Shaping:
+        """The same with `agent_penalty` (where it is set) and `proximity_penalty` times `factor`."""
+        agent = None if self.agent_penalty is None else factor * self.agent_penalty
+        return replace(self, agent_penalty=agent, proximity_penalty=factor * self.proximity_penalty)
 
 
 def training_reward(task: Task, shaping: Shaping, before: Floats, state: State, step: Step) -> Floats:
     """(B, N) reward of the step that led from positions `before` (B, N, 2) to `state`."""
     reward = _shaped(task, shaping, before, state, step)
-    reward = reward + shaping.arrival_bonus * step.terminated[:, None] - shaping.time_penalty
+    reward = reward + shaping.arrival_bonus * step.terminated[:, None]
+    reward = reward - shaping.time_penalty * ~step.success
     if shaping.proximity_penalty:
         reward = reward - shaping.proximity_penalty * _proximity(task, shaping, state)
-    if shaping.stall_penalty:
-        slow = distance(state.velocity, np.zeros(2)) < STANDING
-        reward = reward - shaping.stall_penalty * (slow & ~step.success)
     return shaping.scale * reward
 
 

@@ -44,6 +44,7 @@ class TeamVecEnv(VecEnv):
         super().__init__(n_envs, observation_space, action_space)
         self.task = task
         self.shaping = shaping or Shaping()
+        self.caution = 1.0  # multiplies the penalties of touching and of being near
         self._env = VectorEnv(task, n_envs, max_cycles, copies_per_space)
         self._rng = np.random.default_rng(seed)
         self._actions: NDArray[np.float32] = np.zeros((n_envs, task.n_agents, 2), np.float32)
@@ -67,7 +68,9 @@ class TeamVecEnv(VecEnv):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         before = self._env.world.position.copy()
         step = self._env.step(self._actions)
-        reward = training_reward(self.task, self.shaping, before, self._env.state, step).astype(np.float32)
+        reward = training_reward(
+            self.task, self.shaping.with_caution(self.caution), before, self._env.state, step
+        ).astype(np.float32)
         self._return += step.reward.mean(axis=-1)
         self._collided |= step.agent_collision.any(axis=-1)
         done = step.terminated | step.truncated

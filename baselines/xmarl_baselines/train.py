@@ -52,12 +52,12 @@ def train_and_save(run: Run, folder: Path, *, resume: bool, episodes: int) -> Po
     """Train, measure on `episodes` deterministic episodes, write RUN/policy; returns its card."""
     one_thread()
     with _progress(run) as report:
-        policy, seconds = train(run, folder, resume=resume, report=report)
+        trained = train(run, folder, resume=resume, report=report)
     cell = Cell(run.recipe.task, run.n_agents)
-    (performance,) = evaluate([(policy, cell)], Sampling(episodes=episodes))
+    (performance,) = evaluate([(trained.policy, cell)], Sampling(episodes=episodes))
     return save_policy(
         folder / "policy",
-        policy,
+        trained.policy,
         name=run.name,
         task=run.recipe.task,
         n_agents=run.n_agents,
@@ -66,7 +66,8 @@ def train_and_save(run: Run, folder: Path, *, resume: bool, episodes: int) -> Po
         training={
             **run.settings(),
             "frames": run.recipe.frames,
-            "seconds": round(seconds, 1),
+            "seconds": round(trained.seconds, 1),
+            "validation": trained.validation,
             "command": f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
             f"--attention-entropy {run.attention_entropy:g} --seed {run.seed}",
         },

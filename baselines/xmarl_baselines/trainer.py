@@ -3,6 +3,7 @@
     RUN/settings.json        what is trained; a run is resumed only with the same settings
     RUN/checkpoint.zip       SB3's zip of weights and optimiser
     RUN/progress.json        frames and seconds so far
+    RUN/best.safetensors     the best policy so far, with best.json: how it did on the validation episodes
     RUN/tensorboard/         SB3's log
     RUN/policy/              the finished bundle (policy.safetensors, policy.json)
 
@@ -25,12 +26,15 @@ from xmarl_envs import make_task
 
 from xmarl_baselines.distance_attention import attend_by_distance
 from xmarl_baselines.mappo import MAPPO
+from xmarl_baselines.model_selection import ModelSelection
 from xmarl_baselines.recipes import Recipe
 from xmarl_baselines.team_vec_env import TeamVecEnv
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import write_json
 from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.request import Cell
 
+VALIDATIONS = 25  # per run
 Report = Callable[[int, dict[str, float]], None]  # frames so far, SB3's log of the last iteration
 
 
@@ -63,6 +67,15 @@ class Run:
         return settings
 
 
+@dataclass(frozen=True)
+class Trained:
+    """What a finished run gives."""
+
+    policy: GraphPolicy
+    seconds: float
+    validation: dict[str, Any]  # of that policy, see model_selection
+
+
 def train(
     run: Run,
     folder: Path,
@@ -70,8 +83,8 @@ def train(
     resume: bool = False,
     checkpoint_every: int = 10,
     report: Report | None = None,
-) -> tuple[GraphPolicy, float]:
-    """Train to the end of the recipe; returns the policy in its plain form and the seconds it took.
+) -> Trained:
+    """Train to the end of the recipe; returns the best policy on the validation episodes.
 
     checkpoint_every: iterations between checkpoints. Raises InputError where `folder` holds another run, or
     one that was begun and `resume` is not set.
@@ -81,14 +94,31 @@ def train(
     if frames:
         model.set_parameters(str(folder / "checkpoint.zip"), device="cpu")
         model.num_timesteps = frames
+    cell = Cell(run.recipe.task, run.n_agents)
+    selection = ModelSelection(
+        folder,
+        cell,
+        every=run.recipe.frames // VALIDATIONS,
+        after=(model.attention_start + model.attention_ramp) * run.recipe.frames
+        if run.attention_entropy
+        else 0,
+        enough=run.recipe.enough_success,
+    )
+    keeper = _Keeper(folder, checkpoint_every, seconds, report)
     if frames < run.recipe.frames:
-        keeper = _Keeper(folder, checkpoint_every, seconds, report)
         model.learn(
-            run.recipe.frames - frames, callback=keeper, reset_num_timesteps=frames == 0, tb_log_name=run.name
+            run.recipe.frames - frames,
+            callback=[_Caution(run.recipe.caution_growth), selection, keeper],
+            reset_num_timesteps=frames == 0,
+            tb_log_name=run.name,
         )
+        selection.validate()
         keeper.save()
         seconds = keeper.seconds
-    return plain_actor(model), seconds
+    else:
+        selection.init_callback(model)
+    policy, validation = selection.best()
+    return Trained(policy, seconds, validation)
 
 
 def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
@@ -123,13 +153,6 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
     return model
 
 
-def plain_actor(model: MAPPO) -> GraphPolicy:
-    """The actor without the trainer's faster layers: what is saved and scored."""
-    actor = GraphPolicy(model.policy.actor.architecture)
-    actor.load_state_dict(model.policy.actor.state_dict())
-    return actor.eval()
-
-
 def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float]:
     """Frames and seconds done so far in `folder`; writes the settings of a new run."""
     settings, progress = folder / "settings.json", folder / "progress.json"
@@ -144,6 +167,22 @@ def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float]:
         return 0, 0.0
     done = json.loads(progress.read_text())
     return int(done["frames"]), float(done["seconds"])
+
+
+class _Caution(BaseCallback):
+    """Lets the penalties of touching and of being near grow linearly over the run, 1 to `growth` times."""
+
+    def __init__(self, growth: float) -> None:
+        super().__init__()
+        self._growth = growth
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        assert isinstance(self.model, MAPPO)
+        done = 1.0 - self.model._current_progress_remaining
+        self.training_env.set_attr("caution", 1.0 + (self._growth - 1.0) * done)
 
 
 class _Keeper(BaseCallback):

@@ -14,15 +14,24 @@ from torch.distributions.transforms import TanhTransform
 from xmarl_baselines.distance_attention import attend_by_distance
 from xmarl_baselines.fast_layers import speed_up
 from xmarl_baselines.mappo import MAPPO
+from xmarl_baselines.model_selection import VALIDATION, ModelSelection, plain_actor
 from xmarl_baselines.recipes import RECIPES, Recipe, recipe_for
 from xmarl_baselines.shaping import Shaping, distance_through_gap, training_reward
 from xmarl_baselines.team_policy import log_prob
 from xmarl_baselines.team_vec_env import TeamVecEnv
-from xmarl_baselines.trainer import Run, build, plain_actor, train
+from xmarl_baselines.trainer import Run, build, train
 from xmarl_envs import TASKS, BlindPassage, State, VectorEnv, make_task
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.files import write_json
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
+from xmarl_bench.request import Cell, Sampling
+
+
+@pytest.fixture(autouse=True)
+def short_validation(monkeypatch: pytest.MonkeyPatch) -> None:
+    short = Sampling(episodes=2, max_cycles=10, seed=VALIDATION.seed)
+    monkeypatch.setattr("xmarl_baselines.model_selection.VALIDATION", short)
 
 
 def small(task: str = "blind_navigation_v0", **changes: object) -> Recipe:
@@ -34,16 +43,17 @@ def small(task: str = "blind_navigation_v0", **changes: object) -> Recipe:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_every_task_has_a_recipe_that_trains(task: str, tmp_path: Path) -> None:
-    policy, seconds = train(Run(small(task)), tmp_path / "run")
-    assert seconds > 0
-    weights = policy.state_dict()
+    trained = train(Run(small(task)), tmp_path / "run")
+    assert trained.seconds > 0
+    assert trained.validation["frames"] <= 640
+    weights = trained.policy.state_dict()
     assert all(torch.isfinite(tensor).all() for tensor in weights.values())
     assert set(RECIPES) == set(TASKS)
 
 
 def test_the_same_seed_trains_the_same_weights_and_another_does_not(tmp_path: Path) -> None:
     def weights(seed: int, folder: str) -> torch.Tensor:
-        policy, _ = train(Run(small(), seed=seed), tmp_path / folder)
+        policy = train(Run(small(), seed=seed), tmp_path / folder).policy
         return torch.cat([tensor.flatten() for tensor in policy.state_dict().values()])
 
     first = weights(0, "a")
@@ -118,10 +128,12 @@ def test_advantages_are_gae_for_each_agent() -> None:
         following, value = 1.0 - buffer.episode_starts[t, team], buffer.values[t, team, agent]
 
 
-def test_attention_entropy_falls_under_a_large_lambda(tmp_path: Path) -> None:
+def test_attention_entropy_falls_under_a_large_lambda() -> None:
     def entropy(weight: float) -> float:
         recipe = small(frames=4800, n_epochs=4, attention_start=0.0, attention_ramp=0.0, learning_rate=3e-3)
-        policy, _ = train(Run(recipe, attention_entropy=weight), tmp_path / f"{weight}")
+        model = build(Run(recipe, attention_entropy=weight), seed=0)
+        model.learn(recipe.frames)
+        policy = plain_actor(model)
         attention = policy.prepare(torch.randn(64, 3, 6)).attention
         return float(torch.special.entr(attention).sum(-1).mean().detach())
 
@@ -236,6 +248,48 @@ def test_attention_by_distance_prefers_self_then_the_nearest() -> None:
     row = policy.prepare(x).attention[0, 0].detach()
     assert row[0] > row[1] > row[2]
     assert float(row[1] / row[0]) == pytest.approx(np.exp(-2.5 * 0.8 * 0.3 * (1 + np.sqrt(2))), rel=0.3)
+
+
+def test_model_selection_wants_success_first_then_fewer_collisions(tmp_path: Path) -> None:
+    selection = ModelSelection(tmp_path, Cell("blind_navigation_v0", 3), every=1, after=0, enough=0.9)
+    seen = [(0.7, 1.0), (0.95, 0.2), (0.91, 0.6), (0.97, 0.5), (0.89, 0.9)]
+    best = max(
+        seen,
+        key=lambda row: selection._rank(dict(zip(("success_rate", "no_agent_collision"), row, strict=True))),
+    )
+    assert best == (0.91, 0.6)
+
+
+def test_model_selection_keeps_the_best_and_plays_no_episode_of_scoring(tmp_path: Path) -> None:
+    assert not set(VALIDATION.seeds) & set(Sampling(episodes=50).seeds)
+    model = build(Run(small()), seed=0)
+    selection = ModelSelection(tmp_path, Cell("blind_navigation_v0", 3), every=160, after=320, enough=1.0)
+    model.learn(640, callback=selection)
+    _, record = selection.best()
+    assert record["frames"] in (320, 480)  # neither before `after` nor, without `validate`, at the end
+    kept = (tmp_path / "best.safetensors").read_bytes()
+    record["success_rate"] = 2.0  # better than any policy can be
+    write_json(tmp_path / "best.json", record)
+    selection.validate()
+    assert (tmp_path / "best.safetensors").read_bytes() == kept
+
+
+def test_caution_grows_over_the_run(tmp_path: Path) -> None:
+    shaping = Shaping(agent_penalty=0.2, proximity_penalty=0.1).with_caution(3.0)
+    assert (shaping.agent_penalty, shaping.proximity_penalty) == pytest.approx((0.6, 0.3))
+    assert Shaping().with_caution(3.0) == Shaping()
+    seen: list[float] = []
+
+    class Watch(TeamVecEnv):
+        def __setattr__(self, name: str, value: object) -> None:
+            if name == "caution":
+                seen.append(float(value))  # type: ignore[arg-type]
+            super().__setattr__(name, value)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("xmarl_baselines.trainer.TeamVecEnv", Watch)
+        train(Run(small(caution_growth=3.0)), tmp_path / "run")
+    assert seen == pytest.approx([1.0, 1.0, 1.5, 2.0, 2.5])
 
 
 def test_bad_recipes_and_tasks_are_refused() -> None:

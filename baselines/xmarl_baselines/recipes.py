@@ -64,23 +64,23 @@ RECIPES: dict[str, Recipe] = {
             "decoder": (256, 256), "decoder_activation": "tanh",
         },
         critic=(128, 128),
-        frames=4_014_000,
+        frames=3_006_000,
         n_envs=120,
         n_steps=150,
         n_epochs=4,
         batch_size=400,
         learning_rate=7e-4,
         distance_attention=2.5,
-        ent_coef=-0.02,  # less noise: agents that wait for each other part by noise, and need not learn to
+        ent_coef=-0.03,  # less noise: agents that wait for each other part by noise, and need not learn to
         shaping=Shaping(
-            proximity_penalty=0.04,
+            proximity_penalty=0.05,
             proximity_range=0.15,
-            agent_penalty=0.25,
+            agent_penalty=0.3,
             individual_progress=True,
             arrival_bonus=2.0,
             time_penalty=0.02,
         ),
-        caution_growth=5.0,
+        caution_growth=0.1,
         enough_success=0.96,
     ),
     "blind_passage_v0": Recipe(

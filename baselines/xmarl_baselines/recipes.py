@@ -34,9 +34,7 @@ class Recipe:
     attention_ramp: float = 0.2  # fraction of training over which lambda grows from 0 ...
     attention_start: float = 0.3  # ... after this fraction without it
     shaping: Shaping = field(default_factory=Shaping)
-    caution_growth: float = (
-        1.0  # how much larger agent and proximity penalties are at the end than at the start
-    )
+    caution_growth: float = 1.0  # agent and proximity penalties at the end, relative to the start
     enough_success: float = 1.0  # model selection: beyond this, fewer collisions count for more
 
     def __post_init__(self) -> None:
@@ -50,12 +48,26 @@ class Recipe:
         """SB3's schedule: `remaining` falls from 1 to 0."""
         return self.learning_rate * (self.final_learning_rate + (1.0 - self.final_learning_rate) * remaining)
 
+    def fine_tuning(self) -> Recipe:
+        """The recipe of a run that starts from a finished one: a third of its frames and learning rate,
+        lambda from the start with a longer ramp, and the caution that the finished run ended with."""
+        iteration = self.n_envs * self.n_steps
+        return replace(
+            self,
+            frames=self.frames // 3 // iteration * iteration,
+            learning_rate=self.learning_rate / 3,
+            attention_start=0.0,
+            attention_ramp=0.5,
+            shaping=self.shaping.with_caution(self.caution_growth),
+            caution_growth=1.0,
+        )
+
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 
 # Architectures: Kailas et al. (ICML 2025), section "Tasks". Hyperparameters: what was seen to learn on this
-# physics; the paper's own (30 epochs, gamma 0.99999, lambda 10 / 50 / 50) are in the README's comparison.
+# physics within half an hour on one core; they are not the paper's (30 epochs, gamma 0.99999).
 RECIPES: dict[str, Recipe] = {
     "blind_navigation_v0": Recipe(
         task="blind_navigation_v0",
@@ -71,16 +83,16 @@ RECIPES: dict[str, Recipe] = {
         batch_size=400,
         learning_rate=7e-4,
         distance_attention=2.5,
-        ent_coef=-0.03,  # less noise: agents that wait for each other part by noise, and need not learn to
+        ent_coef=-0.02,  # less noise: agents that wait for each other part by noise, and need not learn to
         shaping=Shaping(
-            proximity_penalty=0.05,
+            proximity_penalty=0.0375,
             proximity_range=0.15,
-            agent_penalty=0.3,
+            agent_penalty=0.25,
             individual_progress=True,
             arrival_bonus=2.0,
             time_penalty=0.02,
         ),
-        caution_growth=0.1,
+        caution_growth=0.3,
         enough_success=0.96,
     ),
     "blind_passage_v0": Recipe(

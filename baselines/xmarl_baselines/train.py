@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -29,30 +30,48 @@ def command(
     agents: Annotated[int, typer.Option(help="team size N")] = 3,
     attention_entropy: Annotated[float, typer.Option(help="lambda of the attention-entropy term")] = 0.0,
     seed: Annotated[int, typer.Option(help="training seed")] = 0,
+    caution: Annotated[
+        float, typer.Option(help="multiplies the penalties of touching and of being near")
+    ] = 1.0,
     frames: Annotated[int | None, typer.Option(help="team-steps; the recipe's own number by default")] = None,
     out: Annotated[Path, typer.Option(help="folder for runs; this one gets its own in it")] = Path("runs"),
+    start_from: Annotated[
+        Path | None, typer.Option(help="folder of a finished run to fine-tune, e.g. with a lambda it had not")
+    ] = None,
     resume: Annotated[bool, typer.Option(help="go on with an interrupted run")] = False,
     episodes: Annotated[int, typer.Option(help="episodes of the evaluation at the end")] = 50,
 ) -> None:
     """Train one graph-attention policy and write it as a bundle that `xmarl-bench score --policy` takes."""
     Cell(task, agents)  # refuses a team that the task does not take
-    run = Run(
-        recipe_for(task, **({} if frames is None else {"frames": frames})), agents, attention_entropy, seed
-    )
+    recipe = recipe_for(task)
+    if start_from is not None:
+        _check_finished(start_from)
+        recipe = recipe.fine_tuning()
+    if frames is not None:
+        recipe = replace(recipe, frames=frames)
+    start = None if start_from is None else start_from.resolve().name
+    run = Run(recipe, agents, attention_entropy, seed, caution, start)
     folder = out / run.name
     try:
-        card = train_and_save(run, folder, resume=resume, episodes=episodes)
+        card = train_and_save(run, folder, resume=resume, start_from=start_from, episodes=episodes)
     except KeyboardInterrupt:
         print("xmarl-train: stopped; the same command with --resume goes on.", file=sys.stderr)
         raise typer.Exit(130) from None
     Console().print(f"{folder / 'policy'}: {card.performance}")
 
 
-def train_and_save(run: Run, folder: Path, *, resume: bool, episodes: int) -> PolicyCard:
+def _check_finished(folder: Path) -> None:
+    if not (folder / "checkpoint.zip").exists():
+        raise InputError(f"{folder} holds no checkpoint.zip: give the folder of a run to start from.")
+
+
+def train_and_save(
+    run: Run, folder: Path, *, resume: bool, start_from: Path | None, episodes: int
+) -> PolicyCard:
     """Train, measure on `episodes` deterministic episodes, write RUN/policy; returns its card."""
     one_thread()
     with _progress(run) as report:
-        trained = train(run, folder, resume=resume, report=report)
+        trained = train(run, folder, resume=resume, start_from=start_from, report=report)
     cell = Cell(run.recipe.task, run.n_agents)
     (performance,) = evaluate([(trained.policy, cell)], Sampling(episodes=episodes))
     return save_policy(
@@ -69,7 +88,9 @@ def train_and_save(run: Run, folder: Path, *, resume: bool, episodes: int) -> Po
             "seconds": round(trained.seconds, 1),
             "validation": trained.validation,
             "command": f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
-            f"--attention-entropy {run.attention_entropy:g} --seed {run.seed}",
+            f"--attention-entropy {run.attention_entropy:g} --seed {run.seed}"
+            + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
+            + ("" if run.start_from is None else f" --start-from runs/{run.start_from}"),
         },
         performance=performance.record(),
     )

@@ -40,17 +40,21 @@ Report = Callable[[int, dict[str, float]], None]  # frames so far, SB3's log of 
 
 @dataclass(frozen=True)
 class Run:
-    """What is trained. `attention_entropy` is lambda of the attention-entropy term."""
+    """What is trained. `attention_entropy` is lambda of the attention-entropy term; `caution` multiplies the
+    recipe's penalties of touching and of being near (1 as it is)."""
 
     recipe: Recipe
     n_agents: int = 3
     attention_entropy: float = 0.0
     seed: int = 0
+    caution: float = 1.0
+    start_from: str | None = None  # name of the finished run whose weights this one starts from
 
     @property
     def name(self) -> str:
         short = self.recipe.task.removeprefix("blind_").rsplit("_", 1)[0]
-        return f"{short}-n{self.n_agents}-lambda{self.attention_entropy:g}-seed{self.seed}"
+        caution = "" if self.caution == 1.0 else f"-caution{self.caution:g}"
+        return f"{short}-n{self.n_agents}-lambda{self.attention_entropy:g}{caution}-seed{self.seed}"
 
     def settings(self) -> dict[str, Any]:
         """As plain JSON, for settings.json and the policy's card."""
@@ -60,6 +64,8 @@ class Run:
                     "n_agents": self.n_agents,
                     "attention_entropy": self.attention_entropy,
                     "seed": self.seed,
+                    "caution": self.caution,
+                    "start_from": self.start_from,
                     "recipe": self.recipe.as_dict(),
                 }
             )
@@ -81,11 +87,13 @@ def train(
     folder: Path,
     *,
     resume: bool = False,
+    start_from: Path | None = None,
     checkpoint_every: int = 10,
     report: Report | None = None,
 ) -> Trained:
     """Train to the end of the recipe; returns the best policy on the validation episodes.
 
+    start_from: folder of the finished run that `run.start_from` names; its weights and optimiser are read.
     checkpoint_every: iterations between checkpoints. Raises InputError where `folder` holds another run, or
     one that was begun and `resume` is not set.
     """
@@ -94,6 +102,8 @@ def train(
     if frames:
         model.set_parameters(str(folder / "checkpoint.zip"), device="cpu")
         model.num_timesteps = frames
+    elif start_from is not None:
+        model.set_parameters(str(start_from / "checkpoint.zip"), device="cpu")
     cell = Cell(run.recipe.task, run.n_agents)
     selection = ModelSelection(
         folder,
@@ -125,7 +135,8 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
     """The learner of a run, untrained."""
     recipe = run.recipe
     task = make_task(recipe.task, run.n_agents)
-    env = TeamVecEnv(task, recipe.n_envs, seed=seed, shaping=recipe.shaping, max_cycles=recipe.max_cycles)
+    shaping = recipe.shaping.with_caution(run.caution)
+    env = TeamVecEnv(task, recipe.n_envs, seed=seed, shaping=shaping, max_cycles=recipe.max_cycles)
     model = MAPPO(
         "TeamPolicy",
         env,

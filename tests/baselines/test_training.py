@@ -292,6 +292,19 @@ def test_caution_grows_over_the_run(tmp_path: Path) -> None:
     assert seen == pytest.approx([1.0, 1.0, 1.5, 2.0, 2.5])
 
 
+def test_a_run_can_start_from_a_finished_one(tmp_path: Path) -> None:
+    first = Run(small(caution_growth=0.5, shaping=Shaping(agent_penalty=0.4)))
+    train(first, tmp_path / "first")
+    tuned = first.recipe.fine_tuning()
+    assert (tuned.frames, tuned.caution_growth, tuned.shaping.agent_penalty) == (160, 1.0, 0.2)
+    second = Run(replace(tuned, learning_rate=0.0), attention_entropy=0.1, start_from="first")
+    trained = train(second, tmp_path / "second", start_from=tmp_path / "first")
+    assert second.settings()["start_from"] == "first"
+    finished = MAPPO.load(tmp_path / "first" / "checkpoint.zip").policy.actor.state_dict()
+    for name, tensor in trained.policy.state_dict().items():  # nothing was learned at a rate of 0
+        assert torch.equal(tensor, finished[name]), name
+
+
 def test_bad_recipes_and_tasks_are_refused() -> None:
     with pytest.raises(InputError, match=r"unknown|no training recipe"):
         recipe_for("blind_chess_v0")

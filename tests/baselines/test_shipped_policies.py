@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from xmarl_bench.entry import read_entry, write_entry
+from xmarl_bench.evaluation import Performance, evaluate
 from xmarl_bench.policy import load_policy
 from xmarl_bench.registry import find_policies
+from xmarl_bench.request import Cell, Sampling
 from xmarl_bench.scoring import score
 
 
@@ -27,3 +29,19 @@ def test_every_shipped_policy_scores(tmp_path: Path) -> None:
         assert dependence is not None, name
         assert dependence > 0.0, f"{name} ignores its team: every explanation of it is trivially faithful"
         assert read_entry(write_entry(tmp_path, entry)) == entry
+
+
+@pytest.mark.slow
+def test_cards_state_what_is_measured_again() -> None:
+    """Success over the 50 episodes of the card, within what another processor's rounding may change."""
+    for name, folder in find_policies().items():
+        policy, card = load_policy(folder)
+        claimed = Performance(**card.performance)
+        (measured,) = evaluate(
+            [(policy, Cell(card.task, card.n_agents))], Sampling(episodes=claimed.episodes, seed=claimed.seed)
+        )
+        for mine, theirs in (
+            (measured.with_messages, claimed.with_messages),
+            (measured.without_messages, claimed.without_messages),
+        ):
+            assert mine["success_rate"] == pytest.approx(theirs["success_rate"], abs=0.1), name

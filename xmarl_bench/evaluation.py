@@ -12,6 +12,7 @@ import torch
 from xmarl_envs import TASKS
 
 from xmarl_bench.fan_out import check_parallel, fan_out
+from xmarl_bench.metrics import attention_entropy
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell, Sampling
@@ -31,6 +32,7 @@ class Performance:
     max_cycles: int
     with_messages: dict[str, float | None]
     without_messages: dict[str, float | None]  # F(identity): every agent hears itself only
+    attention_entropy: float  # nats, over the episodes with messages; log N is attention to all alike
 
     def record(self) -> dict[str, Any]:
         """As a policy card holds it, under `performance`."""
@@ -67,10 +69,8 @@ def evaluate(
     ]
     played = fan_out(_Run.play, units, jobs=jobs, progress="evaluate" if progress else None)
     performances = []
-    for _, cell in policies:
-        heard, unheard = (
-            _means(cell, [episode for _ in parts for episode in next(played)]) for _ in range(2)
-        )
+    for policy, cell in policies:
+        heard, unheard = ([episode for _ in parts for episode in next(played)] for _ in range(2))
         performances.append(
             Performance(
                 task=cell.task,
@@ -78,8 +78,9 @@ def evaluate(
                 episodes=sampling.episodes,
                 seed=sampling.seed,
                 max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
-                with_messages=heard,
-                without_messages=unheard,
+                with_messages=_means(cell, heard),
+                without_messages=_means(cell, unheard),
+                attention_entropy=_attention_entropy(policy, heard),
             )
         )
     return performances
@@ -104,6 +105,14 @@ class _Run:
                 max_cycles=self.max_cycles,
                 mask=mask,
             )
+
+
+def _attention_entropy(policy: GraphPolicy, episodes: Sequence[Episode]) -> float:
+    """Mean over timesteps within an episode, then over episodes."""
+    policy = copy.deepcopy(policy)
+    with one_thread(), torch.inference_mode():
+        attention = [policy.prepare(torch.tensor(episode.observations)).attention for episode in episodes]
+    return float(np.mean([attention_entropy(alpha.numpy()).mean() for alpha in attention]))
 
 
 def _means(cell: Cell, episodes: Sequence[Episode]) -> dict[str, float | None]:

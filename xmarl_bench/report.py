@@ -89,6 +89,7 @@ def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Perform
                 "no wall contact": both("no_object_collision", 2),
                 "makespan": both("makespan", 0),
                 "reward": both("reward", 2),
+                "attention entropy": f"{each.attention_entropy:.2f}",
             }
         )
     return rows

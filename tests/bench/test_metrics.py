@@ -13,6 +13,7 @@ from torch.distributions import Independent, Normal
 from torch.distributions import kl_divergence as torch_kl
 
 from xmarl_bench.metrics import (
+    attention_entropy,
     fidelity,
     graph_explanation_unfaithfulness,
     kl_divergence,
@@ -81,6 +82,13 @@ def test_unfaithfulness_is_per_agent_not_joint() -> None:
 
 def test_unfaithfulness_keeps_small_divergences() -> None:
     assert graph_explanation_unfaithfulness(np.array([1e-20])) == pytest.approx(1e-20)
+
+
+def test_attention_entropy_by_hand() -> None:
+    uniform, alone = np.full((3, 3), 1 / 3), np.eye(3)
+    halves = np.array([[0.5, 0.5, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    received = attention_entropy(np.stack([uniform, alone, halves]))
+    np.testing.assert_allclose(received, [math.log(3), 0.0, math.log(2) / 3], atol=1e-15)
 
 
 def test_mask_mass_by_hand() -> None:

@@ -88,7 +88,7 @@ def train_and_save(
             "seconds": round(trained.seconds, 1),
             "validation": trained.validation,
             "command": f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
-            f"--attention-entropy {run.attention_entropy:g} --seed {run.seed}"
+            f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.frames}"
             + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
             + ("" if run.start_from is None else f" --start-from runs/{run.start_from}"),
         },

@@ -45,7 +45,8 @@ class Recipe:
             )
 
     def learning_rate_at(self, remaining: float) -> float:
-        """SB3's schedule: `remaining` falls from 1 to 0."""
+        """SB3's schedule: `remaining` falls from 1 to 0, and below where the last iteration is cut short."""
+        remaining = max(0.0, remaining)
         return self.learning_rate * (self.final_learning_rate + (1.0 - self.final_learning_rate) * remaining)
 
     def fine_tuning(self) -> Recipe:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from collections.abc import Iterator
@@ -17,9 +18,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from xmarl_baselines.recipes import recipe_for
 from xmarl_baselines.trainer import Report, Run, one_thread, train
 from xmarl_bench.errors import InputError
-from xmarl_bench.evaluation import evaluate
+from xmarl_bench.evaluation import Performance, evaluate_policy
 from xmarl_bench.policy import PolicyCard, save_policy
-from xmarl_bench.request import Cell, Sampling
+from xmarl_bench.report import performance_rows, print_rows
+from xmarl_bench.request import Cell
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -28,24 +30,28 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def command(
     task: Annotated[str, typer.Option(help="blind_navigation_v0, blind_passage_v0 or blind_discovery_v0")],
     agents: Annotated[int, typer.Option(help="team size N")] = 3,
-    attention_entropy: Annotated[float, typer.Option(help="lambda of the attention-entropy term")] = 0.0,
-    seed: Annotated[int, typer.Option(help="training seed")] = 0,
+    attention_entropy: Annotated[
+        float, typer.Option(min=0, help="lambda of the attention-entropy term")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="training seed")] = 0,
     caution: Annotated[
-        float, typer.Option(help="multiplies the penalties of touching and of being near")
+        float, typer.Option(min=0, help="multiplies the penalties of touching and of being near")
     ] = 1.0,
-    frames: Annotated[int | None, typer.Option(help="team-steps; the recipe's own number by default")] = None,
+    frames: Annotated[
+        int | None, typer.Option(min=1, help="team-steps; the recipe's own number by default")
+    ] = None,
     out: Annotated[Path, typer.Option(help="folder for runs; this one gets its own in it")] = Path("runs"),
     start_from: Annotated[
         Path | None, typer.Option(help="folder of a finished run to fine-tune, e.g. with a lambda it had not")
     ] = None,
     resume: Annotated[bool, typer.Option(help="go on with an interrupted run")] = False,
-    episodes: Annotated[int, typer.Option(help="episodes of the evaluation at the end")] = 50,
+    episodes: Annotated[int, typer.Option(min=1, help="episodes of the evaluation at the end")] = 50,
 ) -> None:
     """Train one graph-attention policy and write it as a bundle that `xmarl-bench score --policy` takes."""
     Cell(task, agents)  # refuses a team that the task does not take
     recipe = recipe_for(task)
     if start_from is not None:
-        _check_finished(start_from)
+        _check_start(start_from, task, agents)
         recipe = recipe.fine_tuning()
     if frames is not None:
         recipe = replace(recipe, frames=frames)
@@ -57,12 +63,24 @@ def command(
     except KeyboardInterrupt:
         print("xmarl-train: stopped; the same command with --resume goes on.", file=sys.stderr)
         raise typer.Exit(130) from None
-    Console().print(f"{folder / 'policy'}: {card.performance}")
+    print_rows(performance_rows([card], [Performance(**card.performance)]))
+    print(f"policy in {folder / 'policy'}: xmarl-bench score --policy {folder / 'policy'}")
 
 
-def _check_finished(folder: Path) -> None:
-    if not (folder / "checkpoint.zip").exists():
-        raise InputError(f"{folder} holds no checkpoint.zip: give the folder of a run to start from.")
+def _check_start(folder: Path, task: str, agents: int) -> None:
+    """Raises InputError where `folder` is not a run of the same task and team size."""
+    try:
+        settings = json.loads((folder / "settings.json").read_text())
+        trained = (settings["recipe"]["task"], settings["n_agents"])
+    except (OSError, ValueError, KeyError, TypeError):
+        trained = None
+    if trained is None or not (folder / "checkpoint.zip").exists():
+        raise InputError(f"{folder} holds no run with a checkpoint: give the folder of a run to start from.")
+    if trained != (task, agents):
+        raise InputError(
+            f"{folder} is a run of {trained[0]} with {trained[1]} agents, not of {task} with {agents}: "
+            f"start from a run of the same."
+        )
 
 
 def train_and_save(
@@ -72,8 +90,6 @@ def train_and_save(
     one_thread()
     with _progress(run) as report:
         trained = train(run, folder, resume=resume, start_from=start_from, report=report)
-    cell = Cell(run.recipe.task, run.n_agents)
-    (performance,) = evaluate([(trained.policy, cell)], Sampling(episodes=episodes))
     return save_policy(
         folder / "policy",
         trained.policy,
@@ -92,7 +108,7 @@ def train_and_save(
             + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
             + ("" if run.start_from is None else f" --start-from runs/{run.start_from}"),
         },
-        performance=performance.record(),
+        performance=evaluate_policy(trained.policy, run.recipe.task, run.n_agents, episodes=episodes),
     )
 
 

@@ -192,7 +192,7 @@ class _Caution(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         assert isinstance(self.model, MAPPO)
-        done = 1.0 - self.model._current_progress_remaining
+        done = min(1.0, 1.0 - self.model._current_progress_remaining)
         self.training_env.set_attr("caution", 1.0 + (self._growth - 1.0) * done)
 
 

@@ -22,7 +22,6 @@ def test_there_is_code() -> None:
     assert "score(" in BLOCKS[0]
 
 
-@pytest.mark.skipif(not find_policies(), reason="no policy is shipped yet")
 def test_the_example_scores(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(BLOCKS[0], "README.md", "exec"), {"__name__": "readme"})
     printed = capsys.readouterr().out.splitlines()

@@ -66,7 +66,7 @@ class ModelSelection(BaseCallback):
             policy,
             VALIDATION.seeds,
             max_cycles=VALIDATION.max_cycles,
-            parallel_episodes=100,
+            parallel_episodes=VALIDATION.episodes,
         )
         seen = {name: float(np.mean([getattr(episode, name) for episode in episodes])) for name in MEASURES}
         for name, value in seen.items():

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from xmarl_envs import make_task
 
@@ -226,8 +225,3 @@ class _Keeper(BaseCallback):
         write_json(
             self._folder / "progress.json", {"frames": self.model.num_timesteps, "seconds": self.seconds}
         )
-
-
-def one_thread() -> None:
-    """Training runs one thread per process: two runs side by side beat one run on two threads."""
-    torch.set_num_threads(1)

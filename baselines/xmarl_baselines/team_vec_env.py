@@ -8,20 +8,18 @@ rewards per agent; this class reports what they would (`episode`, `truncated_obs
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 from xmarl_envs import Task, VectorEnv
+from xmarl_envs.sb3_vec_env import OneObjectVecEnv
 
 from xmarl_baselines.shaping import Shaping, training_reward
 
 
-class TeamVecEnv(VecEnv):
+class TeamVecEnv(OneObjectVecEnv):
     """`n_envs` teams with auto-reset. Copies share pymunk Spaces: fast, equal to rounding between copies.
 
     Every info of an ended episode holds `episode` (r: the task's own return, mean over agents; l: length),
@@ -40,7 +38,6 @@ class TeamVecEnv(VecEnv):
     ) -> None:
         observation_space = spaces.Box(-np.inf, np.inf, (task.n_agents, task.obs_dim), np.float32)
         action_space = spaces.Box(-1.0, 1.0, (task.n_agents, 2), np.float32)
-        self.render_mode = None  # SB3 warns where it finds none
         super().__init__(n_envs, observation_space, action_space)
         self.task = task
         self.shaping = shaping or Shaping()
@@ -59,9 +56,6 @@ class TeamVecEnv(VecEnv):
         self._return[:] = 0.0
         self._collided[:] = False
         return observation
-
-    def step_async(self, actions: NDArray[np.float32]) -> None:
-        self._actions = actions
 
     def step_wait(
         self,
@@ -95,28 +89,6 @@ class TeamVecEnv(VecEnv):
             self._collided[ended] = False
         return observation, reward, done, infos
 
-    def close(self) -> None:
-        return None
-
     def _draw_seeds(self, n: int) -> list[int]:
         # Training draws below 2**31; scoring's episode seeds lie above.
         return [int(seed) for seed in self._rng.integers(0, 2**31, n)]
-
-    # What VecEnv asks of its entries; teams live in shared Spaces, so there is one object to ask.
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        return [getattr(self, attr_name)] * len(self._get_indices_list(indices))
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        setattr(self, attr_name, value)
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
-    ) -> list[Any]:
-        result = getattr(self, method_name)(*method_args, **method_kwargs)
-        return [result] * len(self._get_indices_list(indices))
-
-    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        return [False] * len(self._get_indices_list(indices))
-
-    def _get_indices_list(self, indices: VecEnvIndices) -> Sequence[int]:
-        return list(self._get_indices(indices))

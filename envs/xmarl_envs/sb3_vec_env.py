@@ -1,0 +1,142 @@
+"""stable-baselines3's view of a task: a VecEnv with one entry per agent and scalar rewards.
+
+Any algorithm of stable-baselines3 trains on it as it is; PPO then is independent PPO with shared parameters
+(de Witt et al. 2020, "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?").
+
+The only file of `xmarl_envs` that imports stable-baselines3, and nothing else here imports it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+
+from xmarl_envs.seed_row import SeedRow
+from xmarl_envs.task import Task
+from xmarl_envs.vector_env import VectorEnv
+
+StepReturn = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
+
+
+class OneObjectVecEnv(VecEnv):
+    """A VecEnv whose entries are rows of one object's arrays: attributes and methods are the object's own."""
+
+    render_mode: str | None = None  # SB3 warns where it finds none
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        self._actions = actions
+
+    def close(self) -> None:
+        return None
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        return [getattr(self, attr_name)] * len(self._entries(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        result = getattr(self, method_name)(*method_args, **method_kwargs)
+        return [result] * len(self._entries(indices))
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        return [False] * len(self._entries(indices))
+
+    def _entries(self, indices: VecEnvIndices) -> Sequence[int]:
+        return list(self._get_indices(indices))
+
+
+class AgentVecEnv(OneObjectVecEnv):
+    """`n_episodes` teams of N agents with auto-reset; entry e is agent e % N of team e // N.
+
+    Observations (n_episodes * N, D) float32, actions (n_episodes * N, 2) in [-1, 1], rewards
+    (n_episodes * N,) float32: each agent's own, as the task pays it. A team's agents are done together.
+
+    infos, per entry: `at_goal` (discovery: `found`), `agent_collision` and `object_collision` of the step
+    just taken, and `TimeLimit.truncated`; where an episode ended also `terminal_observation` (D,) and
+    `is_success`, which SB3 logs. Returns and lengths are `VecMonitor`'s to add.
+
+    `seed(s)` (or `PPO(seed=s)`, or `seed=s` here) makes team k play from the next `reset()` on the episodes
+    that `TaskParallelEnv.reset(seed=s + k)` and its later `reset()` without a seed play.
+
+    copies_per_space: 1, and an episode depends on nothing but its seed and actions, to the bit; 64 steps
+    about ten times faster, and equals that to rounding until somebody is touched. See `VectorEnv`.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        n_episodes: int = 1,
+        *,
+        seed: int | None = None,
+        max_cycles: int | None = None,
+        copies_per_space: int = 1,
+    ) -> None:
+        self.task = task
+        self._env = VectorEnv(task, n_episodes, max_cycles, copies_per_space)
+        self._rows = [SeedRow() for _ in range(n_episodes)]
+        super().__init__(
+            n_episodes * task.n_agents,
+            spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32),
+            spaces.Box(-1.0, 1.0, (2,), np.float32),
+        )
+        if seed is not None:
+            self.seed(seed)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the next `reset()`: team k with seed + k. Returns the seed of each entry's team."""
+        if seed is None:
+            seed = SeedRow().draw()
+        self._seeds = [seed + entry // self.task.n_agents for entry in range(self.num_envs)]
+        return self._seeds
+
+    def reset(self) -> NDArray[np.float32]:
+        for k, seed in enumerate(self._seeds[:: self.task.n_agents]):
+            if seed is not None:
+                self._rows[k] = SeedRow(seed)
+        self._reset_seeds()  # SB3's rule: seeds and options are used once
+        self._reset_options()
+        return self._by_entry(self._env.reset([row.draw() for row in self._rows]))
+
+    def step_wait(self) -> StepReturn:
+        n_agents = self.task.n_agents
+        step = self._env.step(np.asarray(self._actions).reshape(-1, n_agents, 2))
+        done = step.terminated | step.truncated
+        infos: list[dict[str, Any]] = [
+            {
+                self.task.success_key: success,
+                "agent_collision": agent_collision,
+                "object_collision": object_collision,
+                "TimeLimit.truncated": truncated,
+            }
+            for success, agent_collision, object_collision, truncated in zip(
+                step.success.ravel().tolist(),
+                step.agent_collision.ravel().tolist(),
+                step.object_collision.ravel().tolist(),
+                np.repeat(step.truncated, n_agents).tolist(),
+                strict=True,
+            )
+        ]
+        observation = step.observation
+        ended = np.flatnonzero(done)
+        if ended.size:
+            for k in ended:
+                for i in range(n_agents):
+                    info = infos[k * n_agents + i]
+                    info["terminal_observation"] = observation[k, i].copy()
+                    info["is_success"] = info[self.task.success_key]
+            observation = self._env.reset([self._rows[k].draw() for k in ended], ended)
+        reward = step.reward.astype(np.float32).ravel()
+        return self._by_entry(observation), reward, np.repeat(done, n_agents), infos
+
+    def _by_entry(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(n_episodes, N, D) -> (n_episodes * N, D)"""
+        return observation.reshape(self.num_envs, -1)

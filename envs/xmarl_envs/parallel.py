@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec, wrappers
 
+from xmarl_envs.seed_row import SeedRow
 from xmarl_envs.task import Task
 from xmarl_envs.vector_env import VectorEnv
 
@@ -25,7 +26,8 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
 
     Observations are float32 (obs_dim,); actions Box(-1, 1, (2,)); `state()` is all observations in agent
     order, (N * obs_dim,), for centralised critics. Each agent's info holds `at_goal` (discovery: `found`),
-    `agent_collision` and `object_collision` of the step just taken.
+    `agent_collision` and `object_collision` of the step just taken; all False after `reset`, where TorchRL
+    looks which keys there are.
 
     Raises ValueError for actions that are missing, not finite or of another shape.
     """
@@ -41,7 +43,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         self.render_mode = render_mode
         self._vector = VectorEnv(task, n_episodes=1, max_cycles=max_cycles)
         self._renderer: Renderer | None = None
-        self._seeds = np.random.default_rng()
+        self._seeds = SeedRow()
         self.possible_agents = [f"agent_{i}" for i in range(task.n_agents)]
         self.agents: list[str] = []
         box = spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
@@ -70,15 +72,13 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
         """Begin an episode. The same seed gives the same episode; without one, the next of a random row."""
         if seed is not None:
-            self._seeds = np.random.default_rng(seed)
-            episode_seed = seed
-        else:
-            episode_seed = int(self._seeds.integers(2**32))
+            self._seeds = SeedRow(seed)
+        observation = self._vector.reset([self._seeds.draw()])[0]
         self.agents = list(self.possible_agents)
-        observation = self._vector.reset([episode_seed])[0]
         if self.render_mode == "human":
             self.render()
-        return self._by_agent(observation), {agent: {} for agent in self.agents}
+        nothing_yet = dict.fromkeys((self.task.success_key, "agent_collision", "object_collision"), False)
+        return self._by_agent(observation), {agent: dict(nothing_yet) for agent in self.agents}
 
     def step(
         self, actions: dict[str, Array]

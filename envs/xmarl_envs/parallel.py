@@ -26,8 +26,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
 
     Observations are float32 (obs_dim,); actions Box(-1, 1, (2,)); `state()` is all observations in agent
     order, (N * obs_dim,), for centralised critics. Each agent's info holds `at_goal` (discovery: `found`),
-    `agent_collision` and `object_collision` of the step just taken; all False after `reset`, where TorchRL
-    looks which keys there are.
+    `agent_collision` and `object_collision` of the step just taken; after `reset` it is empty.
 
     Raises ValueError for actions that are missing, not finite or of another shape.
     """
@@ -77,8 +76,8 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         self.agents = list(self.possible_agents)
         if self.render_mode == "human":
             self.render()
-        nothing_yet = dict.fromkeys((self.task.success_key, "agent_collision", "object_collision"), False)
-        return self._by_agent(observation), {agent: dict(nothing_yet) for agent in self.agents}
+        # No infos: SuperSuit would put them in place of those of the step that ended the episode before.
+        return self._by_agent(observation), {agent: {} for agent in self.agents}
 
     def step(
         self, actions: dict[str, Array]

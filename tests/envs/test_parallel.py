@@ -105,8 +105,7 @@ def test_agents_see_their_row_and_the_state_is_all_of_them(name: str) -> None:
     env, vector = TaskParallelEnv(make_task(name, 4)), VectorEnv(make_task(name, 4))
     observation, infos = env.reset(seed=5)
     rows = vector.reset([5])[0]
-    keys = (env.task.success_key, "agent_collision", "object_collision")
-    assert infos == {agent: dict.fromkeys(keys, False) for agent in env.agents}
+    assert infos == {agent: {} for agent in env.agents}
     for _ in range(3):
         for i, agent in enumerate(env.agents):
             np.testing.assert_array_equal(observation[agent], rows[i])

@@ -16,22 +16,11 @@ from torch.nn import functional as F
 from torch_geometric.nn import GATv2Conv
 
 from xmarl_bench.policy.architecture import Architecture
+from xmarl_bench.policy.interface import ActionDistribution, Policy
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
 SCALE_BIAS = math.log(math.e - 1.0)  # softplus(0 + SCALE_BIAS) = 1, as TorchRL's "biased_softplus_1.0"
 MIN_SCALE = 1e-4
-
-
-class ActionDistribution(NamedTuple):
-    """A TanhNormal per agent and action entry: tanh of a Normal(loc, scale)."""
-
-    loc: Tensor  # (..., N, A)
-    scale: Tensor  # (..., N, A), positive
-
-    @property
-    def action(self) -> Tensor:
-        """(..., N, A) in (-1, 1): the deterministic action tanh(loc), what the metrics compare."""
-        return torch.tanh(self.loc)
 
 
 class Prepared(NamedTuple):
@@ -41,13 +30,15 @@ class Prepared(NamedTuple):
     message: Tensor  # (S, N, W): W x_j of sender j
 
 
-class GraphPolicy(nn.Module):
+class GraphPolicy(Policy):
     """One graph-attention policy, shared by all agents of a team of any size.
 
     The layer is torch_geometric's GATv2Conv, so that PyG's explainers run on `forward`; the batched path
     `prepare` / `decode` computes the same numbers from the same parameters on the complete graph with
     self loops, for many timesteps and masks at once.
     """
+
+    row_wise = True  # one layer: F_i depends on row i of the mask alone
 
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()
@@ -85,13 +76,18 @@ class GraphPolicy(nn.Module):
         weight = prepared.attention if mask is None else prepared.attention * mask
         return self._head(weight @ prepared.message + self.gat.bias)
 
-    def distribution(self, observation: Tensor, mask: Tensor | None = None) -> ActionDistribution:
-        """(S, N, D) observations -> the action distributions under the mask."""
-        return self.decode(self.prepare(observation), mask)
+    def attention(self, observation: Tensor) -> Tensor:
+        """(S, N, D) -> (S, N, N): the coefficients of the one head of the one layer."""
+        return self.prepare(observation).attention
 
     def _head(self, hidden: Tensor) -> ActionDistribution:
-        loc, raw_scale = self.decoder(self.gat_activation(hidden)).chunk(2, dim=-1)
-        return ActionDistribution(loc, F.softplus(raw_scale + SCALE_BIAS).clamp_min(MIN_SCALE))
+        return tanh_normal(self.decoder(self.gat_activation(hidden)))
+
+
+def tanh_normal(raw: Tensor) -> ActionDistribution:
+    """(..., 2A) output of a decoder -> the distribution: its location, then its scale before softplus."""
+    loc, raw_scale = raw.chunk(2, dim=-1)
+    return ActionDistribution(loc, F.softplus(raw_scale + SCALE_BIAS).clamp_min(MIN_SCALE))
 
 
 def complete_graph(n_agents: int) -> Tensor:

@@ -1,7 +1,8 @@
-"""stable-baselines3's view of a task: a VecEnv with one entry per agent and scalar rewards.
+"""stable-baselines3's view of a task: VecEnvs with one entry per agent and scalar rewards.
 
-Any algorithm of stable-baselines3 trains on it as it is; PPO then is independent PPO with shared parameters
-(de Witt et al. 2020, "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?").
+Any algorithm of stable-baselines3 trains on them as they are; PPO then is independent PPO with shared
+parameters (de Witt et al. 2020, "Is Independent Learning All You Need in the StarCraft Multi-Agent
+Challenge?"). `AgentVecEnv` is our own; `SuperSuitVecEnv` is for those who need SuperSuit's wrappers.
 
 The only file of `xmarl_envs` that imports stable-baselines3, and nothing else here imports it.
 """
@@ -140,3 +141,56 @@ class AgentVecEnv(OneObjectVecEnv):
     def _by_entry(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """(n_episodes, N, D) -> (n_episodes * N, D)"""
         return observation.reshape(self.num_envs, -1)
+
+
+class SuperSuitVecEnv(OneObjectVecEnv):
+    """What SuperSuit's `concat_vec_envs_v1` makes, as a VecEnv that stable-baselines3 can seed.
+
+    SuperSuit 3.11's own, `base_class="stable_baselines3"`, raises AttributeError for `seed()`, `reset(seed=)`
+    and `PPO(seed=)`, and leaves out `TimeLimit.truncated`, so that algorithms take an episode that ran out
+    of time for one that ended.
+
+    Args:
+        venv: `concat_vec_envs_v1(pettingzoo_env_to_vec_env_v1(env), n)`, in one process (`num_cpus=0`, the
+            default): several processes would play the same episodes, for SuperSuit seeds them alike.
+
+    Entry e is agent e % N of copy e // N; `seed(s)` seeds copy k with s + k.
+    """
+
+    def __init__(self, venv: Any) -> None:
+        copies = getattr(venv, "vec_envs", None)
+        if copies is None:
+            raise ValueError(
+                f"SuperSuitVecEnv takes what supersuit.concat_vec_envs_v1 makes with num_cpus=0 and "
+                f'base_class="gymnasium", got {type(venv).__name__}.'
+            )
+        self.venv = venv
+        self.render_mode = venv.render_mode
+        super().__init__(venv.num_envs, venv.observation_space, venv.action_space)
+        self._agents_per_copy = [copy.num_envs for copy in copies]
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the next `reset()`: copy k with seed + k. Returns the seed of each entry's copy."""
+        if seed is None:
+            seed = SeedRow().draw()
+        self._seeds = [seed + k for k, n_agents in enumerate(self._agents_per_copy) for _ in range(n_agents)]
+        return self._seeds
+
+    def reset(self) -> NDArray[np.float32]:
+        observation, infos = self.venv.reset(seed=self._seeds[0])
+        self.reset_infos = list(infos)  # SuperSuit's are a list, one per entry
+        self._reset_seeds()
+        self._reset_options()
+        return np.asarray(observation)
+
+    def step_wait(self) -> StepReturn:
+        observation, reward, terminated, truncated, infos = self.venv.step(self._actions)
+        terminated, truncated = terminated.astype(np.bool_), truncated.astype(np.bool_)
+        entries = [
+            {**info, "TimeLimit.truncated": bool(over)}
+            for info, over in zip(infos, truncated & ~terminated, strict=True)
+        ]
+        return observation, reward, terminated | truncated, entries
+
+    def close(self) -> None:
+        self.venv.close()

@@ -1,0 +1,140 @@
+"""Gymnasium's view of a task: a vector environment with one entry per team.
+
+For algorithms that steer a whole team at once; the rewards of its agents stand in the infos.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector import VectorEnv as GymnasiumVectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from xmarl_envs.seed_row import SeedRow
+from xmarl_envs.task import Bools, Floats, Task
+from xmarl_envs.vector_env import Step, VectorEnv
+
+Array = NDArray[np.float32]
+Infos = dict[str, Any]
+
+
+class TeamVectorEnv(GymnasiumVectorEnv[Array, Array, NDArray[Any]]):
+    """`num_envs` teams of N agents, with auto-reset in any of Gymnasium's three modes.
+
+    | | shape | |
+    |---|---|---|
+    | observations | (num_envs, N, D) float32 | what each agent sees |
+    | actions | (num_envs, N, 2) float32 | in [-1, 1] |
+    | rewards | (num_envs,) float64 | the mean over a team's agents |
+    | terminations, truncations | (num_envs,) bool | done; max_cycles are over and not done |
+    | infos["agent_reward"] | (num_envs, N) float64 | each agent's own reward |
+    | infos["at_goal"] (discovery: "found") | (num_envs, N) bool | |
+    | infos["agent_collision"], ["object_collision"] | (num_envs, N) bool | in the step just taken |
+
+    As everywhere in Gymnasium, infos["_<key>"] (num_envs,) says in which entries `key` means something, and
+    an episode that ended in mode SAME_STEP leaves its last observation and infos in "final_obs" and
+    "final_info". Mode and shapes are those of `SyncVectorEnv` over one team each.
+
+    `reset(seed=s)` begins entry k with seed s + k; a sequence gives each entry its own. The episodes of an
+    entry are those that `TaskParallelEnv.reset(seed=s + k)` and its later `reset()` without a seed play.
+    `reset(options={"reset_mask": mask})` begins the entries of a (num_envs,) bool mask only.
+
+    copies_per_space: 1, and an episode depends on nothing but its seed and actions, to the bit; 64 steps
+    about ten times faster, and equals that to rounding until somebody is touched. See `VectorEnv`.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        num_envs: int = 1,
+        max_cycles: int | None = None,
+        copies_per_space: int = 1,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        self.task = task
+        self.num_envs = num_envs
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"name": task.name, "render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.single_observation_space = spaces.Box(-np.inf, np.inf, (task.n_agents, task.obs_dim), np.float32)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (task.n_agents, 2), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._env = VectorEnv(task, num_envs, max_cycles, copies_per_space)
+        self._rows = [SeedRow() for _ in range(num_envs)]
+        self._over: Bools = np.zeros(num_envs, dtype=np.bool_)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, Infos]:
+        begin = self._reset_mask(options or {})
+        if seed is None or isinstance(seed, int | np.integer):
+            seed = [None if seed is None else seed + k for k in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"each entry needs one seed: got {len(seed)} seeds for {self.num_envs} entries.")
+        for k, given in enumerate(seed):
+            if begin[k] and given is not None:
+                self._rows[k] = SeedRow(given)
+        return self._begin(begin), {}
+
+    def step(self, actions: Array) -> tuple[Array, Floats, Bools, Bools, Infos]:
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._over.any():
+            raise ValueError(
+                f"the episodes of entries {np.flatnonzero(self._over).tolist()} are over: begin new ones "
+                f'with reset(options={{"reset_mask": ...}}) before the next step.'
+            )
+        beginning = self._over.copy()  # never any but in mode NEXT_STEP: these begin instead of stepping
+        played = ~beginning
+        step = self._env.step(actions, played)
+        terminated, truncated = step.terminated & played, step.truncated & played
+        ended = terminated | truncated
+        observation = step.observation
+        infos: Infos = {}
+        reward = np.where(played, step.reward.mean(axis=-1), 0.0)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            beginning, played = ended, ~ended
+            if ended.any():
+                last = np.full(self.num_envs, None, dtype=object)
+                for k in np.flatnonzero(ended):
+                    last[k] = observation[k].copy()
+                infos = {"final_obs": last, "_final_obs": ended, "_final_info": ended}
+                infos["final_info"] = self._infos(step, ended)
+        if beginning.any():
+            observation = self._begin(beginning)
+        self._over = ended & ~beginning
+        return observation, reward, terminated, truncated, {**infos, **self._infos(step, played)}
+
+    def _begin(self, entries: Bools) -> Array:
+        which = np.flatnonzero(entries)
+        self._over[which] = False
+        return self._env.reset([self._rows[k].draw() for k in which], which)
+
+    def _infos(self, step: Step, entries: Bools) -> Infos:
+        """Gymnasium's form: an array and a mask for every key, the array 0 where the mask is False."""
+        if not entries.any():
+            return {}
+        values = {
+            "agent_reward": step.reward,
+            self.task.success_key: step.success,
+            "agent_collision": step.agent_collision,
+            "object_collision": step.object_collision,
+        }
+        infos: Infos = {}
+        for key, value in values.items():
+            infos[key] = np.where(entries[:, None], value, np.zeros_like(value))
+            infos[f"_{key}"] = entries.copy()
+        return infos
+
+    def _reset_mask(self, options: dict[str, Any]) -> Bools:
+        mask = options.get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, dtype=np.bool_)
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            raise ValueError(
+                f'options["reset_mask"] must be a boolean array of shape ({self.num_envs},), got {mask!r}.'
+            )
+        return mask

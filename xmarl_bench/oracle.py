@@ -4,7 +4,7 @@ A binary row is written as a number r in [0, 2^N): bit j says whether the messag
 nothing, row 2^N - 1 everything, and the complement of r is 2^N - 1 - r. Axis 0 of every table is r.
 
 No binary mask has a larger FidDelta than `oracle_mask`. Soft masks can: what `soft_oracle_mask` finds is
-larger by 0.0 to 2.4 % on the shipped policies. Exact Shapley values and FidDelta@k follow from the same table.
+larger by 0.0 to 2.4 % on the shipped policies. Exact Shapley values and FidDelta@k come out of the table too.
 
 S is the number of timesteps, N agents, A action entries, R = 2^N rows.
 """
@@ -20,7 +20,7 @@ from torch import Tensor
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import prediction_change
-from xmarl_bench.policy import GraphPolicy, Prepared
+from xmarl_bench.policy import Policy
 
 MAX_AGENTS = 12
 # Network rows decoded at once: the best of 250 to 64000 on one core, for larger batches leave the cache.
@@ -30,8 +30,13 @@ SOFT_STEPS = 12
 SOFT_STEP, SOFT_DECAY = 0.3, 0.75  # of the first step, in mask units, and from step to step
 
 
-def check_oracle(n_agents: int) -> None:
-    """Raises InputError for a team whose rows are too many to try."""
+def check_oracle(policy: Policy, n_agents: int) -> None:
+    """Raises InputError where rows do not act alone, or for a team whose rows are too many to try."""
+    if not policy.row_wise:
+        raise InputError(
+            "the oracle takes policies with a single layer that passes messages, where an action depends on "
+            "its own row of the mask alone, got one with several: leave the oracle out."
+        )
     if n_agents > MAX_AGENTS:
         raise InputError(
             f"the oracle tries all 2^N rows of a mask and takes at most {MAX_AGENTS} agents, got {n_agents}: "
@@ -40,8 +45,7 @@ def check_oracle(n_agents: int) -> None:
 
 
 def binary_rows(n_agents: int) -> Tensor:
-    """(R, N) float32: row r keeps sender j where bit j of r is set. Raises InputError above MAX_AGENTS."""
-    check_oracle(n_agents)
+    """(R, N) float32: row r keeps sender j where bit j of r is set."""
     return ((torch.arange(2**n_agents)[:, None] >> torch.arange(n_agents)) & 1).float()
 
 
@@ -55,26 +59,29 @@ def chunks(n_steps: int, n_agents: int, rows_per_agent: int) -> Iterator[slice]:
         yield slice(first, min(first + width, n_steps))
 
 
-def action_tables(policy: GraphPolicy, prepared: Prepared) -> Iterator[tuple[slice, Tensor]]:
-    """(timesteps, (R, s, N, A) deterministic actions of every binary row), a bounded stretch at a time.
+def action_tables(policy: Policy, observations: Tensor) -> Iterator[tuple[slice, Tensor]]:
+    """(S, N, D) -> (timesteps, (R, s, N, A) actions of every binary row), a bounded stretch at a time.
 
     Entry [r, s, i] is F_i at timestep s with row i of the mask set to r, whatever the other rows are.
+    Raises InputError where the policy or the team does not allow it, see `check_oracle`.
     """
-    n_steps, n_agents, _ = prepared.attention.shape
+    n_steps, n_agents, _ = observations.shape
+    check_oracle(policy, n_agents)
     rows = binary_rows(n_agents)[:, None, None, :]
     for steps in chunks(n_steps, n_agents, len(rows)):
-        yield steps, policy.decode(_at(prepared, steps), rows).action
+        prepared = policy.prepare(observations[steps])
+        yield steps, policy.decode(prepared, rows.expand(-1, steps.stop - steps.start, n_agents, -1)).action
 
 
-def change_table(policy: GraphPolicy, prepared: Prepared) -> NDArray[np.float64]:
-    """(R, S, N): d_i of every binary row, the mean over action entries of |F_i(1) - F_i(row)|.
+def change_table(policy: Policy, observations: Tensor) -> NDArray[np.float64]:
+    """(S, N, D) -> (R, S, N): d_i of every binary row, mean over action entries of |F_i(1) - F_i(row)|.
 
     Holds 8 R S N bytes: 0.5 MB for 400 timesteps at N = 5, 6.6 MB at N = 8, 160 MB at N = 12.
     """
-    n_steps, n_agents, _ = prepared.attention.shape
+    n_steps, n_agents, _ = observations.shape
     change = np.empty((2**n_agents, n_steps, n_agents))
     with torch.no_grad():
-        for steps, actions in action_tables(policy, prepared):
+        for steps, actions in action_tables(policy, observations):
             table = actions.numpy()
             change[:, steps] = prediction_change(table[-1:], table)
     return change
@@ -85,35 +92,29 @@ def best_rows(change: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.asarray((change[::-1] - change).argmax(axis=0))
 
 
-def oracle_mask(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def oracle_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N) of zeros and ones: the best binary mask for FidDelta."""
     with torch.no_grad():
-        prepared = policy.prepare(observations)
-        rows = binary_rows(observations.shape[1])
         best = [
             best_rows(prediction_change(actions[-1:].numpy(), actions.numpy()))
-            for _, actions in action_tables(policy, prepared)
+            for _, actions in action_tables(policy, observations)
         ]
-    return rows[torch.from_numpy(np.concatenate(best))]
+    return binary_rows(observations.shape[1])[torch.from_numpy(np.concatenate(best))]
 
 
-def soft_oracle_mask(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def soft_oracle_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N) in [0, 1]: the best mask that projected ascent finds from the oracle's.
 
     Every receiver's FidDelta is its own objective; a row is replaced only where that grew.
     """
     start = oracle_mask(policy, observations, generator)
+    stretches = chunks(len(observations), observations.shape[1], 2)
+    return torch.cat([_ascend(policy, observations[steps], start[steps]) for steps in stretches])
+
+
+def _ascend(policy: Policy, observations: Tensor, start: Tensor) -> Tensor:
     with torch.no_grad():
         prepared = policy.prepare(observations)
-    parts = [
-        _ascend(policy, _at(prepared, steps), start[steps])
-        for steps in chunks(len(observations), observations.shape[1], 2)
-    ]
-    return torch.cat(parts)
-
-
-def _ascend(policy: GraphPolicy, prepared: Prepared, start: Tensor) -> Tensor:
-    with torch.no_grad():
         full = policy.decode(prepared).action
     best, highest = start, torch.full(start.shape[:-1], -torch.inf)
     mask, step = start, SOFT_STEP
@@ -133,7 +134,3 @@ def _ascend(policy: GraphPolicy, prepared: Prepared, start: Tensor) -> Tensor:
         mask = (mask + step * gradient / largest).clamp(0.0, 1.0)
         step *= SOFT_DECAY
     return best.detach()
-
-
-def _at(prepared: Prepared, steps: slice) -> Prepared:
-    return Prepared(prepared.attention[steps], prepared.message[steps])

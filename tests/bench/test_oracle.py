@@ -46,7 +46,7 @@ def test_rows_are_the_bits_of_their_number() -> None:
 def test_the_table_is_the_formula_row_by_row() -> None:
     policy, observations = small_policy(5, 1), random_observations(2, 3, 5)
     with torch.no_grad():
-        ((steps, table),) = action_tables(policy, policy.prepare(observations))
+        ((steps, table),) = action_tables(policy, observations)
     assert (steps, tuple(table.shape)) == (slice(0, 2), (8, 2, 3, 2))
     for s, r in product(range(2), range(8)):
         mask = np.tile(binary_rows(3)[r].double().numpy(), (3, 1))
@@ -91,12 +91,12 @@ def test_the_best_row_by_hand() -> None:
 def test_chunks_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
     policy, observations = small_policy(6, 2), random_observations(50, 4, 6)
     with torch.no_grad():
-        whole = change_table(policy, policy.prepare(observations))
+        whole = change_table(policy, observations)
         monkeypatch.setattr(
             oracle, "DECODED_AT_ONCE", 4 * 16 * 7
         )  # seven timesteps at a time, the last alone
-        parts = change_table(policy, policy.prepare(observations))
-        widths = [len(table[0]) for _, table in action_tables(policy, policy.prepare(observations))]
+        parts = change_table(policy, observations)
+        widths = [len(table[0]) for _, table in action_tables(policy, observations)]
     assert widths == [7] * 7 + [1]
     np.testing.assert_allclose(whole, parts, atol=1e-6)
     assert whole[-1].max() == 0.0

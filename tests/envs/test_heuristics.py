@@ -1,0 +1,91 @@
+"""The tasks can be solved, and random agents do not solve them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from xmarl_envs import TASKS, State, Task, VectorEnv, make_task
+from xmarl_envs.heuristics import heuristic
+from xmarl_envs.heuristics.steering import REACTION, force, give_way
+from xmarl_envs.task import Floats
+
+EPISODES = 40
+Act = Callable[[Task, State], Floats]
+
+
+def success(task: Task, act: Act) -> float:
+    """Success rate: fraction of agents at goal when the episode ends."""
+    env = VectorEnv(task, EPISODES, copies_per_space=EPISODES)
+    env.reset(range(EPISODES))
+    live, rate = np.ones(EPISODES, dtype=bool), np.zeros(EPISODES)
+    while live.any():
+        step = env.step(act(task, env.state), live)
+        ended = live & (step.terminated | step.truncated)
+        rate[ended] = step.success[ended].mean(axis=-1)
+        live &= ~ended
+    return float(rate.mean())
+
+
+@pytest.mark.parametrize(
+    ("name", "n_agents", "bar"),
+    [
+        *(("blind_navigation_v0", n, 0.95) for n in (3, 5, 8)),
+        *(("blind_passage_v0", n, 0.9) for n in (3, 4, 5)),
+        *(("blind_discovery_v0", n, 0.97) for n in (3, 5)),  # 0.99 and more over 200 episodes
+    ],
+)
+def test_the_heuristic_solves_its_task(name: str, n_agents: int, bar: float) -> None:
+    assert success(make_task(name, n_agents), heuristic) >= bar
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_random_agents_do_not(name: str) -> None:
+    rng = np.random.default_rng(0)
+    task = make_task(name, 3)
+    assert success(task, lambda _, state: rng.uniform(-1, 1, state.position.shape)) < 0.5
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_actions_are_in_range_and_depend_on_the_episode_alone(name: str) -> None:
+    task = make_task(name, 3)
+    env = VectorEnv(task, 3)
+    env.reset([5, 6, 7])
+    for _ in range(20):
+        together = heuristic(task, env.state)
+        assert together.shape == (3, 3, 2) and np.abs(together).max() <= 1.0
+        alone = heuristic(task, State(*(array[1:2] for array in env.state)))
+        np.testing.assert_allclose(alone, together[1:2], rtol=0, atol=1e-12)
+        env.step(together)
+
+
+def test_a_task_without_heuristic_is_refused() -> None:
+    class Other(Task):
+        name = "other"
+        observe = spawn = judge = None  # type: ignore[assignment]
+
+    with pytest.raises(TypeError, match="other has no heuristic"):
+        heuristic(Other(2), VectorEnv(make_task("blind_navigation_v0", 2)).state)
+
+
+def test_who_goes_second_closes_in_no_faster_than_allowed() -> None:
+    position = np.array([[[0.0, 0.0], [0.5, 0.0]]])
+    wanted = np.array([[[0.0, 0.0], [-1.0, 0.0]]])
+    see_nobody = np.zeros((1, 2))
+    safe = give_way(position, wanted, np.array([[0.0, 1.0]]), clearance=0.3, sight=see_nobody)
+    np.testing.assert_allclose(safe[0], [[0.0, 0.0], [-REACTION * 0.2, 0.0]])
+    free = give_way(position, wanted, np.array([[1.0, 0.0]]), clearance=0.3, sight=see_nobody)
+    np.testing.assert_allclose(free[0, 1], [-1.0, 0.0])  # first: unhindered, the other backs off
+    assert free[0, 0, 0] <= -1.0 + REACTION * 0.2 + 1e-12
+
+
+def test_the_force_keeps_a_velocity() -> None:
+    """What `force` answers to a velocity already reached leaves it as it is, against the drag."""
+    task = make_task("blind_navigation_v0", 1)
+    env = VectorEnv(task)
+    env.reset([0])
+    wanted = np.array([[[0.2, -0.1]]])
+    for _ in range(60):
+        env.step(force(task, wanted, env.state.velocity))
+    np.testing.assert_allclose(env.state.velocity, wanted, atol=1e-6)

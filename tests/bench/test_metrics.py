@@ -9,16 +9,19 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import spearmanr
 from torch.distributions import Independent, Normal
 from torch.distributions import kl_divergence as torch_kl
 
 from xmarl_bench.metrics import (
+    attention_distance,
     attention_entropy,
     fidelity,
     graph_explanation_unfaithfulness,
     kl_divergence,
     mask_mass,
     prediction_change,
+    rank_correlation,
 )
 
 
@@ -89,6 +92,57 @@ def test_attention_entropy_by_hand() -> None:
     halves = np.array([[0.5, 0.5, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     received = attention_entropy(np.stack([uniform, alone, halves]))
     np.testing.assert_allclose(received, [math.log(3), 0.0, math.log(2) / 3], atol=1e-15)
+
+
+def test_attention_distance_by_hand() -> None:
+    uniform, alone = np.full((3, 3), 1 / 3), np.eye(3)
+    mixed = np.array([[0.75, 0.25, 0.0], [0.5, 0.5, 0.0], [0.4, 0.3, 0.3]])
+    # |2 alpha - 1| by row: 0.5 + 0.5 + 1, 0 + 0 + 1, 0.2 + 0.4 + 0.4.
+    received = attention_distance(np.stack([uniform, alone, mixed]))
+    np.testing.assert_allclose(received, [3.0, 9.0, 4.0], atol=1e-12)
+
+
+@given(
+    st.integers(1, 7).flatmap(
+        lambda n: st.lists(st.lists(st.floats(-9, 9), min_size=n, max_size=n), min_size=n, max_size=n)
+    )
+)
+def test_attention_distance_is_bounded_as_the_paper_says(logits: list[list[float]]) -> None:
+    alpha = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
+    n = len(alpha)
+    distance = float(attention_distance(alpha))
+    assert abs(2 * n - n**2) - 1e-9 <= distance <= n**2 + 1e-9
+    assert attention_distance(np.full((n, n), 1 / n)) == pytest.approx(abs(2 * n - n**2))
+    # In full: the bound is left only as far as a row's largest coefficient exceeds one half.
+    excess = np.maximum(0.0, alpha.max(axis=1) - 0.5).sum()
+    assert distance == pytest.approx(n**2 - 2 * n + 4 * excess)
+
+
+def test_uniform_attention_is_not_alone_at_the_lower_bound() -> None:
+    peaked = np.tile([0.5, 0.5, 0.0], (3, 1))  # less entropy than uniform, the same distance
+    assert attention_distance(peaked) == 3.0
+    assert attention_distance(np.full((3, 3), 1 / 3)) == pytest.approx(3.0)
+
+
+def test_rank_correlation_by_hand() -> None:
+    a = np.array([[0.1, 0.2, 0.3], [5.0, 5.0, 5.0]])  # the second row ranks nothing
+    assert rank_correlation(a, a * 100 - 3) == pytest.approx(1.0)
+    assert rank_correlation(a, -a) == pytest.approx(-1.0)
+    # Centred ranks (-1, 0, 1) and, with a tie, (-0.5, -0.5, 1): (0.5 + 1) / sqrt(2 * 1.5).
+    assert rank_correlation(a[:1], np.array([[0.0, 0.0, 0.9]])) == pytest.approx(1.5 / math.sqrt(3))
+    # Pooled: rows (-1, 0, 1) against the same and against (1, 0, -1) weigh alike.
+    assert rank_correlation(np.tile(a[0], (2, 1)), np.array([a[0], -a[0]])) == pytest.approx(0.0)
+
+
+def test_masks_that_rank_nothing_have_no_rank_correlation() -> None:
+    assert math.isnan(rank_correlation(np.ones((4, 3)), np.random.default_rng(0).random((4, 3))))
+    holed = np.array([[0.1, np.nan, 0.3]])
+    assert math.isnan(rank_correlation(holed, np.array([[1.0, 2.0, 3.0]])))
+
+
+def test_rank_correlation_of_one_row_is_spearmans() -> None:
+    a, b = np.random.default_rng(0).integers(0, 5, (2, 12)).astype(float)  # with ties
+    assert rank_correlation(a[None], b[None]) == pytest.approx(spearmanr(a, b).statistic)
 
 
 def test_mask_mass_by_hand() -> None:

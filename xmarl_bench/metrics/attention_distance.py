@@ -1,0 +1,24 @@
+"""D(alpha): how far the subgraph that attention induces lies from its complement. A property of the policy.
+
+Source: Kailas et al. (ICML 2025), section "Theoretical Analysis": the entry-wise 1-norm of the difference of
+the two adjacency matrices,
+
+    D(alpha) = sum_ij |alpha_ij - (1 - alpha_ij)| = sum_ij |2 alpha_ij - 1|  in [|2 N - N^2|, N^2].
+
+Uniform attention attains the lower bound, one sender per receiver the upper one. For N >= 3 uniform attention
+is not alone in attaining it: every alpha without an entry above 1/2 does, since rows sum to 1 and so
+
+    D(alpha) = N^2 - 2 N + 4 sum_i max(0, max_j alpha_ij - 1/2).
+
+D sees nothing of attention but how far each receiver's largest coefficient exceeds one half.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def attention_distance(attention: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(..., N, N) attention, rows sum to 1 -> (...) D(alpha)."""
+    return np.asarray(np.abs(2.0 * attention.astype(np.float64) - 1.0).sum(axis=(-2, -1)))

@@ -1,0 +1,87 @@
+"""Budgeted fidelity: does a mask rank the edges well, whatever values it gives them?
+
+Keep the k highest edges of each row (binary, ties broken at random), FidDelta@k of that mask, and place it
+between a random ranking (0) and the best one (1), averaged over k = 1 .. M - 1 for M senders:
+
+    mean over k of (FidDelta@k - random@k) / (oracle@k - random@k)
+
+random@k is the exact mean over all k-subsets, oracle@k the maximum over them, each receiver for itself. All
+three are averaged over agents and timesteps before dividing (a ratio of means). A k whose denominator is
+under 1e-3 action units has nothing to rank and is left out; where no k is left the metric is NaN.
+
+FidDelta of a row follows from a table of changes (R, S, N), R = 2^M: entry [r, s, i] is how much agent i's
+action at timestep s changes when the senders in the bits of r are kept and no others (xmarl_bench.oracle).
+
+Communication-only: the agent's own edge is kept in subgraph and complement alike, so the senders are the
+M = N - 1 others, and k = 1 .. N - 2. It is the same computation on `others_table` and `other_senders`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+SMALLEST = 1e-3  # action units; under this a denominator is noise
+
+
+def fid_delta_table(change: Floats) -> Floats:
+    """(R, ...) changes d(r) -> (R, ...) FidDelta of each row: d(complement of r) - d(r)."""
+    return np.asarray(change[::-1] - change)
+
+
+def top_k_rows(mask: NDArray[np.floating], noise: Floats) -> NDArray[np.int64]:
+    """(S, N, M) -> (M - 1, S, N): the row of the k highest senders, k = 1 .. M - 1.
+
+    noise: (S, N, M), independent and uniform; decides between equal values of the mask.
+    """
+    order = np.lexsort((noise, -mask.astype(np.float64)), axis=-1)  # the last key is the first to count
+    return np.moveaxis(np.cumsum(1 << order, axis=-1)[..., :-1], -1, 0)
+
+
+def fid_delta_at_k(delta: Floats, rows: NDArray[np.int64]) -> Floats:
+    """(R, S, N) FidDelta of all rows, (K, S, N) the chosen -> (K,) mean over timesteps and agents."""
+    return np.asarray(np.take_along_axis(delta, rows, axis=0).mean(axis=(1, 2)))
+
+
+def random_at_k(delta: Floats) -> Floats:
+    """(R, S, N) -> (M - 1,): the mean over all k-subsets, what a random ranking gets in expectation."""
+    return np.array([delta[subsets].mean() for subsets in _subsets(len(delta))])
+
+
+def oracle_at_k(delta: Floats) -> Floats:
+    """(R, S, N) -> (M - 1,): the best k-subset of every receiver at every timestep."""
+    return np.array([delta[subsets].max(axis=0).mean() for subsets in _subsets(len(delta))])
+
+
+def budgeted_fidelity(explained: Floats, random: Floats, oracle: Floats) -> float:
+    """Three arrays (K,) -> one number; 0 is a random ranking, 1 the best, NaN where there is none to find."""
+    room = oracle - random
+    if np.isnan(explained).any() or np.isnan(room).any() or not (room >= SMALLEST).any():
+        return float("nan")
+    counted = room >= SMALLEST
+    return float(((explained - random)[counted] / room[counted]).mean())
+
+
+def others_table(change: Floats) -> Floats:
+    """(2^N, S, N) -> (2^(N-1), S, N): the own edge always kept, rows over the others by rising number."""
+    n_rows, _, n_agents = change.shape
+    reduced = np.empty((n_rows // 2, *change.shape[1:]))
+    r = np.arange(n_rows // 2)
+    for i in range(n_agents):
+        low, high = r & ((1 << i) - 1), r >> i
+        reduced[:, :, i] = change[high << (i + 1) | 1 << i | low, :, i]
+    return reduced
+
+
+def other_senders(mask: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(S, N, N) -> (S, N, N - 1): the mask without its diagonal, others by rising number."""
+    n_agents = mask.shape[-1]
+    off_diagonal = ~np.eye(n_agents, dtype=bool)
+    return mask[:, off_diagonal].reshape(len(mask), n_agents, n_agents - 1)
+
+
+def _subsets(n_rows: int) -> list[NDArray[np.bool_]]:
+    """Which of the rows keep k senders, for k = 1 .. M - 1."""
+    size = np.bitwise_count(np.arange(n_rows))
+    return [size == k for k in range(1, int(n_rows).bit_length() - 1)]

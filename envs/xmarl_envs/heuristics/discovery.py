@@ -10,7 +10,7 @@ import numpy as np
 
 from xmarl_envs.blind_discovery_v0 import BlindDiscovery
 from xmarl_envs.heuristics.steering import force, unit
-from xmarl_envs.task import Bools, Floats, State, distance
+from xmarl_envs.task import Floats, State, distance
 
 SPEED = 0.36  # m/s; full force reaches 0.37
 BORDER = 0.1  # m over which a border turns agents back
@@ -21,7 +21,7 @@ SLOW = 0.6  # fraction of SPEED
 def search(task: BlindDiscovery, state: State) -> Floats:
     """(B, N, 2) actions in [-1, 1]."""
     position, velocity = state.position, state.velocity
-    senses: Bools = np.asarray(distance(position, state.targets) <= task.sensing_range)
+    senses = np.asarray(task.observe(state)[..., -1] > 0, dtype=np.bool_)
     still = np.abs(velocity).sum(axis=-1, keepdims=True) < 0.02
     heading = np.where(still, unit(np.array([1e-3, 3e-4]) - position), unit(velocity))
     over = np.clip((np.abs(position) - (task.bound - BORDER)) / BORDER, 0.0, 1.0)

@@ -21,7 +21,7 @@ SLOW = 0.6  # fraction of SPEED
 def search(task: BlindDiscovery, state: State) -> Floats:
     """(B, N, 2) actions in [-1, 1]."""
     position, velocity = state.position, state.velocity
-    senses = np.asarray(task.observe(state)[..., -1] > 0, dtype=np.bool_)
+    senses = task.observe(state)[..., -1] > 0
     still = np.abs(velocity).sum(axis=-1, keepdims=True) < 0.02
     heading = np.where(still, unit(np.array([1e-3, 3e-4]) - position), unit(velocity))
     over = np.clip((np.abs(position) - (task.bound - BORDER)) / BORDER, 0.0, 1.0)
@@ -36,7 +36,7 @@ def search(task: BlindDiscovery, state: State) -> Floats:
         ],
         axis=-1,
     )
-    direction = np.where(senses.any(axis=1)[:, None, None], unit(helped - position), bounced)
+    direction = np.where(np.asarray(senses.any(axis=1))[:, None, None], unit(helped - position), bounced)
     direction = np.where(senses[..., None], circled, direction)
     speed = np.where(senses, SLOW, 1.0) * SPEED
     return force(task, direction * speed[..., None], velocity)

@@ -1,0 +1,201 @@
+"""Gymnasium: our vector environment does to the bit what its own does with one environment per team."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.performance import benchmark_vector_step
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import DictInfoToList, NormalizeObservation, RecordEpisodeStatistics
+from numpy.typing import NDArray
+from xmarl_envs import TASKS, TaskParallelEnv, make_task
+from xmarl_envs.gymnasium_vector_env import TeamVectorEnv
+
+NUM_ENVS, N_AGENTS, MAX_CYCLES = 5, 3, 40
+tasks = pytest.mark.parametrize("name", TASKS)
+modes = pytest.mark.parametrize("mode", list(AutoresetMode))
+Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+
+
+class TeamEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """One team as an ordinary Gymnasium environment: the peer that SyncVectorEnv makes many of."""
+
+    def __init__(self, name: str) -> None:
+        self.env = TaskParallelEnv(make_task(name, N_AGENTS), MAX_CYCLES)
+        self.observation_space = spaces.Box(-np.inf, np.inf, (N_AGENTS, self.env.task.obs_dim), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (N_AGENTS, 2), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        super().reset(seed=seed)
+        return np.stack(list(self.env.reset(seed)[0].values())), {}
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        actions = dict(zip(self.env.agents, action, strict=True))
+        observations, rewards, terminations, truncations, infos = self.env.step(actions)
+        infos_by_key = {
+            key: np.array([info[key] for info in infos.values()]) for key in next(iter(infos.values()))
+        }
+        agent_reward = np.array(list(rewards.values()))
+        return (
+            np.stack(list(observations.values())),
+            float(agent_reward.mean()),
+            terminations["agent_0"],
+            truncations["agent_0"],
+            {"agent_reward": agent_reward, **infos_by_key},
+        )
+
+
+def peer(name: str, mode: AutoresetMode) -> SyncVectorEnv:
+    return SyncVectorEnv([lambda: TeamEnv(name)] * NUM_ENVS, autoreset_mode=mode)
+
+
+def ours(name: str, mode: AutoresetMode) -> TeamVectorEnv:
+    return TeamVectorEnv(make_task(name, N_AGENTS), NUM_ENVS, MAX_CYCLES, autoreset_mode=mode)
+
+
+def steering(name: str, seed: int = 0) -> Act:
+    """Navigation flies to its goals, for episodes to end at different times; the others push at random."""
+    rng = np.random.default_rng(seed)
+
+    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        noise = rng.uniform(-1, 1, (NUM_ENVS, N_AGENTS, 2)).astype(np.float32)
+        if name != "blind_navigation_v0":
+            return noise
+        pull = -4 * observation[..., 4:6] - 2 * observation[..., 2:4]
+        return np.clip(pull + 0.1 * noise, -1, 1)
+
+    return act
+
+
+def test_the_peer_is_a_sound_gymnasium_environment() -> None:
+    check_env(TeamEnv("blind_navigation_v0"), skip_render_check=True)
+
+
+@tasks
+@modes
+def test_every_step_is_that_of_gymnasium_s_own_vector_environment(name: str, mode: AutoresetMode) -> None:
+    envs = [peer(name, mode), ours(name, mode)]
+    act = steering(name)
+    results: list[Any] = [env.reset(seed=3) for env in envs]
+    same(results)
+    begun_again = n_terminated = n_truncated = 0
+    for cycle in range(3 * MAX_CYCLES):
+        actions = act(results[1][0])
+        results = [env.step(actions) for env in envs]
+        same(results)
+        terminated, truncated = results[1][2:4]
+        n_terminated, n_truncated = n_terminated + terminated.sum(), n_truncated + truncated.sum()
+        over = (terminated | truncated) if mode is AutoresetMode.DISABLED else np.zeros(NUM_ENVS, np.bool_)
+        over[1] |= cycle == 5  # for the entries to get out of step
+        if over.any():
+            begun_again += 1
+            seeds = [100 + cycle if cycle == 5 else None] * NUM_ENVS
+            results = [env.reset(seed=seeds, options={"reset_mask": over}) for env in envs]  # type: ignore[arg-type]
+            same(results)
+    assert begun_again >= (3 if mode is AutoresetMode.DISABLED else 1)
+    assert n_truncated > 0
+    assert n_terminated > 0 or name != "blind_navigation_v0"
+
+
+def same(results: list[Any]) -> None:
+    """The same bits, the same types; a key without any entry may be there or not."""
+    for mine, theirs in zip(results[1][:-1], results[0][:-1], strict=True):
+        assert mine.dtype == theirs.dtype
+        np.testing.assert_array_equal(mine, theirs)
+    same_infos(results[1][-1], results[0][-1])
+
+
+def same_infos(mine: dict[str, Any], theirs: dict[str, Any]) -> None:
+    assert set(mine) == set(theirs)
+    for key, value in theirs.items():
+        if isinstance(value, dict):
+            same_infos(mine[key], value)
+        elif value.dtype == object:
+            for a, b in zip(mine[key], value, strict=True):
+                np.testing.assert_array_equal(a, b)
+        else:
+            assert mine[key].dtype == value.dtype
+            np.testing.assert_array_equal(mine[key], value)
+
+
+@tasks
+def test_spaces_and_metadata(name: str) -> None:
+    mine, theirs = ours(name, AutoresetMode.SAME_STEP), peer(name, AutoresetMode.SAME_STEP)
+    assert mine.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert (mine.num_envs, mine.observation_space, mine.action_space) == (
+        theirs.num_envs,
+        theirs.observation_space,
+        theirs.action_space,
+    )
+    assert mine.single_observation_space == theirs.single_observation_space
+    assert mine.single_action_space == theirs.single_action_space
+    assert mine.observation_space.contains(mine.reset(seed=0)[0])
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_gymnasium_s_statistics_of_episodes_are_the_same_on_both(mode: AutoresetMode) -> None:
+    recorded = []
+    for env in (peer("blind_navigation_v0", mode), ours("blind_navigation_v0", mode)):
+        act, wrapped = steering("blind_navigation_v0"), RecordEpisodeStatistics(env)
+        observation, _ = wrapped.reset(seed=3)
+        for _ in range(100):
+            observation = wrapped.step(act(observation))[0]
+        recorded.append((list(wrapped.return_queue), list(wrapped.length_queue)))
+    assert recorded[0] == recorded[1]
+    assert len(recorded[0][1]) > NUM_ENVS
+
+
+def test_gymnasium_s_wrappers_work_on_it() -> None:
+    env = NormalizeObservation(DictInfoToList(ours("blind_navigation_v0", AutoresetMode.NEXT_STEP)))
+    env.action_space.seed(0)
+    env.reset(seed=3)
+    for _ in range(100):
+        observation, _, _, _, infos = env.step(env.action_space.sample())
+    assert 0.3 < observation.std() < 3  # metres and m/s have become comparable
+    assert isinstance(infos, list)
+    assert [info["at_goal"].shape for info in infos if info] == [(N_AGENTS,)] * NUM_ENVS
+
+
+def make_navigation(num_envs: int, **options: Any) -> TeamVectorEnv:
+    return TeamVectorEnv(make_task("blind_navigation_v0"), num_envs, **options)
+
+
+@pytest.fixture
+def registered() -> Iterator[str]:
+    name = "xmarl_test/navigation-v0"
+    gymnasium.register(name, vector_entry_point=f"{__name__}:make_navigation")
+    yield name
+    del gymnasium.registry[name]
+
+
+def test_gymnasium_makes_it_by_name_and_measures_it(registered: str) -> None:
+    env = gymnasium.make_vec(registered, num_envs=4, vectorization_mode="vector_entry_point", max_cycles=5)
+    assert env.num_envs == 4
+    assert benchmark_vector_step(env, target_duration=0, seed=1) > 0
+
+
+def test_what_is_wrong_is_said() -> None:
+    env = ours("blind_navigation_v0", AutoresetMode.DISABLED)
+    with pytest.raises(ValueError, match="each entry needs one seed: got 2 seeds for 5 entries"):
+        env.reset(seed=[1, 2])
+    with pytest.raises(ValueError, match="a seed must be a whole number from 0 on, got -1"):
+        env.reset(seed=-1)
+    with pytest.raises(ValueError, match=r"must be a boolean array of shape \(5,\)"):
+        env.reset(options={"reset_mask": np.ones(5)})
+    env.reset(seed=0)
+    for _ in range(MAX_CYCLES):
+        env.step(np.zeros((NUM_ENVS, N_AGENTS, 2), np.float32))
+    with pytest.raises(
+        ValueError, match=r"the episodes of entries \[0, 1, 2, 3, 4\] are over: begin new ones"
+    ):
+        env.step(np.zeros((NUM_ENVS, N_AGENTS, 2), np.float32))

@@ -1,7 +1,11 @@
-"""Controls: masks that explain nothing, to read every explainer by. Always available.
+"""Controls: masks to read every explainer by, scored on the same policy and states. Always available.
 
-The mask of ones keeps everything, so Fid- and GEF are 0 and FidDelta is what removing all messages does:
-an explainer that merely keeps more is not better. A uniform random mask is the floor of every ranking.
+Floors that explain nothing, and the ceiling that no binary mask passes. The mask of ones keeps everything,
+so Fid- and GEF are 0 and FidDelta is what removing all messages does: an explainer that merely keeps more is
+not better. The inverse of the explainer's own mask is a control too; being no function of the policy, it is
+made where the explainer is measured (xmarl_bench.measure).
+
+S is the number of timesteps, N agents, D observation entries.
 """
 
 from __future__ import annotations
@@ -10,19 +14,41 @@ import torch
 from torch import Tensor
 
 from xmarl_bench.explainer import Explainer
-from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.oracle import oracle_mask, soft_oracle_mask
+from xmarl_bench.policy import Policy
+
+INVERTED = "inverted"
 
 
-def ones_mask(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def ones_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N): every edge kept."""
-    n_steps, n_agents, _ = observations.shape
-    return torch.ones(n_steps, n_agents, n_agents)
+    return torch.ones(_shape(observations))
 
 
-def random_mask(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def zeros_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N): no edge kept."""
+    return torch.zeros(_shape(observations))
+
+
+def random_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N): every entry uniform in [0, 1), independent."""
+    return torch.rand(_shape(observations), generator=generator)
+
+
+def bernoulli_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N): every edge kept or dropped by the toss of a coin."""
+    return (torch.rand(_shape(observations), generator=generator) < 0.5).float()
+
+
+def self_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N): every agent's own edge and no message between agents."""
     n_steps, n_agents, _ = observations.shape
-    return torch.rand(n_steps, n_agents, n_agents, generator=generator)
+    return torch.eye(n_agents).repeat(n_steps, 1, 1)
+
+
+def _shape(observations: Tensor) -> tuple[int, int, int]:
+    n_steps, n_agents, _ = observations.shape
+    return n_steps, n_agents, n_agents
 
 
 CONTROLS: dict[str, Explainer] = {
@@ -34,6 +60,13 @@ CONTROLS: dict[str, Explainer] = {
             "keeps every edge: the ceiling FidDelta cannot tell from truth",
             control=True,
         ),
+        Explainer("zeros", zeros_mask, "keeps nothing", control=True),
         Explainer("random", random_mask, "uniform random mask: the floor", stochastic=True, control=True),
+        Explainer("bernoulli", bernoulli_mask, "random edges, half of them", stochastic=True, control=True),
+        Explainer("self", self_mask, "each agent's own edge alone: explains no coordination", control=True),
+        Explainer("oracle", oracle_mask, "the best binary mask for FidDelta", control=True),
+        Explainer(
+            "soft-oracle", soft_oracle_mask, "the best mask found by ascent from the oracle", control=True
+        ),
     )
 }

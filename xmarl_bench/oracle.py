@@ -22,26 +22,31 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import prediction_change
 from xmarl_bench.policy import Policy
 
-MAX_AGENTS = 12
+MAX_AGENTS = 10
 # Network rows decoded at once: the best of 250 to 64000 on one core, for larger batches leave the cache.
-# One timestep is the least: 49152 rows at N = 12.
+# One timestep is the least: 10240 rows at N = 10.
 DECODED_AT_ONCE = 8192
 SOFT_STEPS = 12
 SOFT_STEP, SOFT_DECAY = 0.3, 0.75  # of the first step, in mask units, and from step to step
 
 
-def check_oracle(policy: Policy, n_agents: int) -> None:
-    """Raises InputError where rows do not act alone, or for a team whose rows are too many to try."""
+def why_no_oracle(policy: Policy, n_agents: int) -> str | None:
+    """Why there is none for this policy and team; None where there is one."""
     if not policy.row_wise:
-        raise InputError(
-            "the oracle takes policies with a single layer that passes messages, where an action depends on "
-            "its own row of the mask alone, got one with several: leave the oracle out."
+        return (
+            "an oracle needs a single layer that passes messages, so that an action depends on its own row of "
+            "the mask alone, and this policy has several"
         )
     if n_agents > MAX_AGENTS:
-        raise InputError(
-            f"the oracle tries all 2^N rows of a mask and takes at most {MAX_AGENTS} agents, got {n_agents}: "
-            f"choose a smaller team, or leave the oracle out."
-        )
+        return f"an oracle tries all 2^N rows of a mask, for at most {MAX_AGENTS} agents, got {n_agents}"
+    return None
+
+
+def check_oracle(policy: Policy, n_agents: int) -> None:
+    """Raises InputError where rows do not act alone, or for a team whose rows are too many to try."""
+    reason = why_no_oracle(policy, n_agents)
+    if reason is not None:
+        raise InputError(f"{reason}: leave the oracle out, or choose another policy or team.")
 
 
 def binary_rows(n_agents: int) -> Tensor:
@@ -76,7 +81,7 @@ def action_tables(policy: Policy, observations: Tensor) -> Iterator[tuple[slice,
 def change_table(policy: Policy, observations: Tensor) -> NDArray[np.float64]:
     """(S, N, D) -> (R, S, N): d_i of every binary row, mean over action entries of |F_i(1) - F_i(row)|.
 
-    Holds 8 R S N bytes: 0.5 MB for 400 timesteps at N = 5, 6.6 MB at N = 8, 160 MB at N = 12.
+    Holds 8 R S N bytes: 0.5 MB for 400 timesteps at N = 5, 6.6 MB at N = 8, 33 MB at N = 10.
     """
     n_steps, n_agents, _ = observations.shape
     change = np.empty((2**n_agents, n_steps, n_agents))
@@ -107,7 +112,11 @@ def soft_oracle_mask(policy: Policy, observations: Tensor, generator: torch.Gene
 
     Every receiver's FidDelta is its own objective; a row is replaced only where that grew.
     """
-    start = oracle_mask(policy, observations, generator)
+    return ascend(policy, observations, oracle_mask(policy, observations, generator))
+
+
+def ascend(policy: Policy, observations: Tensor, start: Tensor) -> Tensor:
+    """(S, N, D), (S, N, N) oracle's mask -> (S, N, N), see `soft_oracle_mask`."""
     stretches = chunks(len(observations), observations.shape[1], 2)
     return torch.cat([_ascend(policy, observations[steps], start[steps]) for steps in stretches])
 

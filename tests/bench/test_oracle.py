@@ -112,6 +112,6 @@ def test_soft_ascent_gains_where_there_is_something_to_gain() -> None:
 
 
 def test_a_team_too_large_is_refused_in_one_sentence() -> None:
-    with pytest.raises(InputError, match=f"at most {MAX_AGENTS} agents, got 13") as raised:
-        oracle_mask(small_policy(5), random_observations(1, 13, 5), torch.Generator())
+    with pytest.raises(InputError, match=f"at most {MAX_AGENTS} agents, got 11") as raised:
+        oracle_mask(small_policy(5), random_observations(1, 11, 5), torch.Generator())
     assert "\n" not in str(raised.value)

@@ -113,7 +113,7 @@ def test_ppo_learns_a_little_with_shared_parameters() -> None:
     env = AgentVecEnv(task, 16, max_cycles=MAX_CYCLES, copies_per_space=64)
     before, after = distances_before_and_after_learning(env)
     assert before > 1.0
-    assert after < 0.8 * before  # measured: 0.22 to 0.64 of it over four seeds
+    assert after < 0.8 * before  # measured: 0.33 to 0.39 of it over three seeds
 
 
 def test_a_seeded_ppo_repeats_and_another_seed_differs() -> None:

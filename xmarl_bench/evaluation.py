@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from xmarl_envs import TASKS
 
-from xmarl_bench.fan_out import check_parallel, fan_out
+from xmarl_bench.fan_out import check_parallel
 from xmarl_bench.metrics import attention_entropy
-from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell, Sampling
-from xmarl_bench.rollout import Episode, roll_out
+from xmarl_bench.rollout import Episode, Rollout, play_all
 
 TASK_METRICS = ("reward", "success_rate", "no_agent_collision", "no_object_collision", "makespan")
 
@@ -40,14 +40,14 @@ class Performance:
 
 
 def evaluate_policy(
-    policy: GraphPolicy, task: str, n_agents: int, *, episodes: int = 50, seed: int = 0
+    policy: Policy, task: str, n_agents: int, *, episodes: int = 50, seed: int = 0
 ) -> dict[str, Any]:
     """One policy's `Performance` as its card records it."""
     return evaluate([(policy, Cell(task, n_agents))], Sampling(episodes=episodes, seed=seed))[0].record()
 
 
 def evaluate(
-    policies: Sequence[tuple[GraphPolicy, Cell]],
+    policies: Sequence[tuple[Policy, Cell]],
     sampling: Sampling,
     *,
     jobs: int = 1,
@@ -59,18 +59,19 @@ def evaluate(
     The same episodes as scoring plays with the same seed. `sampling.timesteps` has no meaning here.
     """
     check_parallel(jobs, parallel_episodes)
-    chunk = min(parallel_episodes, -(-sampling.episodes // jobs))
-    parts = [sampling.seeds[first : first + chunk] for first in range(0, sampling.episodes, chunk)]
-    units = [
-        _Run(policy, cell, tuple(part), sampling.max_cycles, messages)
-        for policy, cell in policies
-        for messages in (True, False)
-        for part in parts
-    ]
-    played = fan_out(_Run.play, units, jobs=jobs, progress="evaluate" if progress else None)
+    seeds, max_cycles = tuple(sampling.seeds), sampling.max_cycles
+    episodes = play_all(
+        [
+            Rollout(policy, cell.task, cell.n_agents, seeds, max_cycles, messages)
+            for policy, cell in policies
+            for messages in (True, False)
+        ],
+        jobs=jobs,
+        parallel_episodes=parallel_episodes,
+        progress="evaluate" if progress else None,
+    )
     performances = []
-    for policy, cell in policies:
-        heard, unheard = ([episode for _ in parts for episode in next(played)] for _ in range(2))
+    for (policy, cell), heard, unheard in zip(policies, episodes[::2], episodes[1::2], strict=True):
         performances.append(
             Performance(
                 task=cell.task,
@@ -86,32 +87,11 @@ def evaluate(
     return performances
 
 
-@dataclass(frozen=True)
-class _Run:
-    policy: GraphPolicy
-    cell: Cell
-    seeds: tuple[int, ...]
-    max_cycles: int | None
-    messages: bool
-
-    def play(self) -> list[Episode]:
-        mask = None if self.messages else torch.eye(self.cell.n_agents)
-        with one_thread():
-            return roll_out(
-                self.cell.make(),
-                copy.deepcopy(self.policy),  # memory as torch lays it out, see xmarl_bench.measure
-                self.seeds,
-                parallel_episodes=len(self.seeds),
-                max_cycles=self.max_cycles,
-                mask=mask,
-            )
-
-
-def _attention_entropy(policy: GraphPolicy, episodes: Sequence[Episode]) -> float:
+def _attention_entropy(policy: Policy, episodes: Sequence[Episode]) -> float:
     """Mean over timesteps within an episode, then over episodes."""
     policy = copy.deepcopy(policy)
     with one_thread(), torch.inference_mode():
-        attention = [policy.prepare(torch.tensor(episode.observations)).attention for episode in episodes]
+        attention = [policy.attention(torch.tensor(episode.observations)) for episode in episodes]
     return float(np.mean([attention_entropy(alpha.numpy()).mean() for alpha in attention]))
 
 

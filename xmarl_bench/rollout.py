@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from xmarl_envs import Step, Task, VectorEnv
+from xmarl_envs import Step, Task, VectorEnv, make_task
 
-from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.fan_out import fan_out
+from xmarl_bench.policy import Policy
+from xmarl_bench.reproducible import one_thread
 
 
 @dataclass(frozen=True)
@@ -30,9 +34,19 @@ class Episode:
     makespan: int  # steps until done, max_cycles if never
 
 
+class Act(Protocol):
+    """How the teams of a batch act."""
+
+    def __call__(self, observation: NDArray[np.float32], slots: Sequence[int], /) -> NDArray[np.float32]:
+        """(B, N, D) observations of all slots, the slots still playing -> (B, N, 2) actions.
+
+        Actions of other slots mean nothing.
+        """
+
+
 def roll_out(
     task: Task,
-    policy: GraphPolicy,
+    policy: Policy,
     seeds: Sequence[int],
     *,
     parallel_episodes: int = 50,
@@ -47,6 +61,28 @@ def roll_out(
     batches of different size, and an episode may depend on nothing but (task, N, seed, policy). So the
     result is the same, to the bit, whatever `parallel_episodes` is.
     """
+
+    def act_alone(observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[np.float32]:
+        action = np.zeros((len(observation), task.n_agents, 2), dtype=np.float32)
+        for slot in slots:
+            action[slot] = act(policy, observation[slot], mask)
+        return action
+
+    return play(task, act_alone, seeds, parallel_episodes=parallel_episodes, max_cycles=max_cycles)
+
+
+def play(
+    task: Task,
+    act: Act,
+    seeds: Sequence[int],
+    *,
+    parallel_episodes: int = 50,
+    max_cycles: int | None = None,
+) -> list[Episode]:
+    """Play one episode per seed with the actions of `act`, in the order of `seeds`.
+
+    With as many parallel episodes as seeds, slot k plays seed k from its first step to its last.
+    """
     width = min(parallel_episodes, len(seeds))
     if width < 1:
         return []
@@ -56,12 +92,11 @@ def roll_out(
     recorders = [_Recorder(seeds[k]) for k in playing]
     finished: dict[int, Episode] = {}
     waiting = iter(range(width, len(seeds)))
-    action = np.zeros((width, task.n_agents, 2), dtype=np.float32)
     while len(finished) < len(seeds):
         live = np.array([k >= 0 for k in playing])
         slots = [slot for slot in range(width) if playing[slot] >= 0]
+        action = act(observation, slots)
         for slot in slots:
-            action[slot] = act(policy, observation[slot], mask)
             recorders[slot].observations.append(observation[slot])
         step = env.step(action, live)
         observation = step.observation
@@ -78,14 +113,50 @@ def roll_out(
 
 
 @torch.inference_mode()
-def act(
-    policy: GraphPolicy, observation: NDArray[np.float32], mask: Tensor | None = None
-) -> NDArray[np.float32]:
+def act(policy: Policy, observation: NDArray[np.float32], mask: Tensor | None = None) -> NDArray[np.float32]:
     """(N, D) -> (N, A): the deterministic action of one team at one moment."""
     # A copy, not a view: matrix products also round differently by the alignment of their memory,
     # and torch aligns what it allocates itself.
     x = torch.tensor(observation)[None]
     return np.asarray(policy.distribution(x, mask).action[0].numpy())
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Episodes to play side by side in one process: what is handed to a worker."""
+
+    policy: Policy
+    task: str
+    n_agents: int
+    seeds: tuple[int, ...]
+    max_cycles: int | None
+    messages: bool = True  # False: every agent hears itself only
+
+    def play(self) -> list[Episode]:
+        with one_thread():
+            return roll_out(
+                make_task(self.task, self.n_agents),
+                copy.deepcopy(self.policy),  # memory as torch lays it out, also after a pickle
+                self.seeds,
+                parallel_episodes=len(self.seeds),
+                max_cycles=self.max_cycles,
+                mask=None if self.messages else torch.eye(self.n_agents),
+            )
+
+    def split(self, jobs: int, parallel_episodes: int) -> list[Rollout]:
+        """The same episodes in parts of at most `parallel_episodes`, and enough of them for all jobs."""
+        width = min(parallel_episodes, -(-len(self.seeds) // jobs))
+        firsts = range(0, len(self.seeds), width)
+        return [replace(self, seeds=self.seeds[first : first + width]) for first in firsts]
+
+
+def play_all(
+    rollouts: Sequence[Rollout], *, jobs: int, parallel_episodes: int, progress: str | None = None
+) -> list[list[Episode]]:
+    """The episodes of each rollout, the same for any number of processes and parallel episodes."""
+    parts = [rollout.split(jobs, parallel_episodes) for rollout in rollouts]
+    played = fan_out(Rollout.play, [unit for part in parts for unit in part], jobs=jobs, progress=progress)
+    return [[episode for _ in part for episode in next(played)] for part in parts]
 
 
 class _Recorder:

@@ -18,10 +18,13 @@ M = N - 1 others, and k = 1 .. N - 2. It is the same computation on `others_tabl
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Real = TypeVar("Real", bound=np.floating)
 SMALLEST = 1e-3  # action units; under this a denominator is noise
 
 
@@ -74,7 +77,7 @@ def others_table(change: Floats) -> Floats:
     return reduced
 
 
-def other_senders(mask: NDArray[np.floating]) -> NDArray[np.floating]:
+def other_senders(mask: NDArray[Real]) -> NDArray[Real]:
     """(S, N, N) -> (S, N, N - 1): the mask without its diagonal, others by rising number."""
     n_agents = mask.shape[-1]
     off_diagonal = ~np.eye(n_agents, dtype=bool)

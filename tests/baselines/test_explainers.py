@@ -6,33 +6,20 @@ import copy
 
 import pytest
 import torch
-from torch_geometric.explain import AttentionExplainer, GraphMaskExplainer, ModelConfig
-from torch_geometric.explain import Explainer as PygExplainer
-from torch_geometric.explain.algorithm import ExplainerAlgorithm
+from torch_geometric.explain import AttentionExplainer, GraphMaskExplainer
 from xmarl_baselines.explainers.attention import attention
-from xmarl_baselines.explainers.gnn_explainer import gnn_explainer, make_algorithm
+from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
+from xmarl_baselines.explainers.gnn_explainer import gnn_explainer
 from xmarl_baselines.explainers.graphmask_pyg import graphmask_pyg
 
+from tests.baselines.reference import by_pyg
 from tests.policies import random_observations, small_policy
 from xmarl_bench.explainer import Explainer, run_explainer
-from xmarl_bench.policy import GraphPolicy, complete_graph
+from xmarl_bench.policy import complete_graph
 from xmarl_bench.pyg import PygExplain
 
-SHIPPED = [attention, gnn_explainer, graphmask_pyg]
+SHIPPED = [attention, attention_rowmax, gnn_explainer, graphmask_pyg]
 each = pytest.mark.parametrize("explainer", SHIPPED, ids=lambda explainer: explainer.name)
-
-
-def by_pyg(policy: GraphPolicy, algorithm: ExplainerAlgorithm, x: torch.Tensor) -> torch.Tensor:
-    """PyG as its manual says, on one graph."""
-    explainer = PygExplainer(
-        model=copy.deepcopy(policy),
-        algorithm=algorithm,
-        explanation_type="model",
-        edge_mask_type="object",
-        model_config=ModelConfig(mode="regression", task_level="node"),
-    )
-    mask: torch.Tensor = explainer(x, complete_graph(len(x))).edge_mask
-    return mask.detach().reshape(len(x), len(x))
 
 
 def test_attention_is_what_pyg_calls_attention() -> None:
@@ -50,15 +37,13 @@ def test_the_adapter_keeps_rows_and_columns_apart() -> None:
     torch.testing.assert_close(mask, policy.prepare(observations).attention.detach(), rtol=0, atol=1e-6)
 
 
-def test_the_adapter_runs_gnn_explainer_as_pyg_does() -> None:
-    policy, observations = small_policy(6, 1), random_observations(2, 3, 6)
-    adapter = PygExplain(make_algorithm)
-    for x in observations:
-        ours = adapter.explain_graph(policy, x, complete_graph(3), seed=11)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(11)
-            theirs = by_pyg(policy, make_algorithm(), x)
-        torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-6)
+def test_attention_rowmax_ranks_as_attention_and_keeps_the_best_message_whole() -> None:
+    policy, observations = small_policy(6, 1), random_observations(6, 4, 6)
+    alpha = run_explainer(attention, policy, observations, 0)
+    mask = run_explainer(attention_rowmax, policy, observations, 0)
+    assert torch.equal(mask.argsort(dim=-1), alpha.argsort(dim=-1))
+    assert torch.equal(mask.amax(dim=-1), torch.ones(6, 4))
+    torch.testing.assert_close(mask * alpha.amax(dim=-1, keepdim=True), alpha)
 
 
 @each
@@ -107,14 +92,3 @@ def test_seeds_matter_to_gnn_explainer_and_graphs_do_not_leak_into_one_another()
 def test_graphmask_gives_binary_masks(encoder: tuple[int, ...]) -> None:
     mask = run_explainer(graphmask_pyg, small_policy(6, 4, encoder), random_observations(1, 3, 6), 0)
     assert set(mask.unique().tolist()) <= {0.0, 1.0}
-
-
-@each
-def test_hyperparameters_are_those_of_the_algorithm(explainer: Explainer) -> None:
-    if not isinstance(explainer.explain, PygExplain):
-        assert not explainer.hyperparameters
-        return
-    algorithm = explainer.explain.algorithm()
-    coefficients = getattr(algorithm, "coeffs", {})
-    for name, value in explainer.hyperparameters.items():
-        assert getattr(algorithm, name, coefficients.get(name)) == value

@@ -1,12 +1,12 @@
 """Attention as explanation: the mask is the layer's own softmax coefficients.
 
 Paper: Kailas, Jain and Ravichandar (ICML 2025), who ask when attention explains a team; for graphs,
-Velickovic et al. (ICLR 2018). Formula: mask[i, j] = alpha_ij, with alpha_i = softmax_j of the GATv2 scores
-of receiver i, so every row sums to 1 and the mask's mass is 1 / N, whatever the policy.
+Velickovic et al. (ICLR 2018). Formula: mask[i, j] = alpha_ij, with alpha_i = softmax_j of the scores of
+receiver i, so every row sums to 1 and the mask's mass is 1 / N, whatever the policy.
 
-Departures: none from PyG's AttentionExplainer on a layer of one head (a test holds the two together); all
-timesteps are computed at once. PyG's default reduction, the maximum over heads, would with several heads
-make rows that sum to more than 1.
+Departures: heads and layers are reduced by their mean, so that a row sums to 1. PyG's AttentionExplainer
+takes the maximum, and rows of several heads exceed 1. With one head and one layer the two agree (a test holds
+them together).
 """
 
 from __future__ import annotations
@@ -14,14 +14,21 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from xmarl_baselines.batching import chunks
 from xmarl_bench.explainer import Explainer
-from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.policy import Policy
 
 
-def attention_mask(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
-    """(S, N, D) -> (S, N, N)."""
+def attention_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N), rows sum to 1."""
+    n_steps, n_agents, _ = observations.shape
     with torch.no_grad():
-        return policy.prepare(observations).attention
+        return torch.cat([policy.attention(observations[steps]) for steps in chunks(n_steps, n_agents)])
 
 
-attention = Explainer("attention", attention_mask, "the attention coefficients themselves")
+attention = Explainer(
+    "attention",
+    attention_mask,
+    "the attention coefficients themselves",
+    hyperparameters={"heads": "mean", "layers": "mean"},
+)

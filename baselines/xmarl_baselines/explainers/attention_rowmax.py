@@ -1,0 +1,30 @@
+"""Attention divided by its row's maximum: the same ranking as `attention`, a larger mask.
+
+Formula: mask[i, j] = alpha_ij / max_k alpha_ik, so every receiver keeps its most attended message whole.
+
+Source: the benchmark's own, to read `attention` by. What ranks edges is unchanged; whatever a metric gains
+here over `attention` it gives to the mass of the mask, not to the explanation.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from xmarl_baselines.explainers.attention import attention_mask
+from xmarl_bench.explainer import Explainer
+from xmarl_bench.policy import Policy
+
+
+def attention_rowmax_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N), the largest entry of every row is 1."""
+    alpha = attention_mask(policy, observations, generator)
+    return alpha / alpha.amax(dim=-1, keepdim=True)
+
+
+attention_rowmax = Explainer(
+    "attention-rowmax",
+    attention_rowmax_mask,
+    "attention divided by its row's maximum: same ranking, more mass",
+    hyperparameters={"heads": "mean", "layers": "mean"},
+)

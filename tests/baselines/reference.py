@@ -1,0 +1,41 @@
+"""Trained policies with states they come by, and PyG's explainers run as PyG's manual says."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch_geometric.explain import Explainer as PygExplainer
+from torch_geometric.explain import ExplainerAlgorithm, ModelConfig
+from xmarl_baselines.policies import shipped_policies
+from xmarl_envs import make_task
+
+from xmarl_bench.policy import GraphPolicy, Policy, complete_graph, load_policy
+from xmarl_bench.rollout import roll_out
+
+TRAINED = ["navigation-n3-lambda0-seed0", "passage-n3-lambda0-seed0", "discovery-n3-lambda0-seed0"]
+
+
+def trained(name: str, n_steps: int, n_agents: int = 3) -> tuple[GraphPolicy, Tensor]:
+    """A shipped policy and `n_steps` states (n_steps, N, D), spread over an episode of at most 120 steps."""
+    policy, card = load_policy(shipped_policies()[name])
+    (episode,) = roll_out(make_task(card.task, n_agents), policy, [1], max_cycles=120)
+    chosen = np.linspace(0, len(episode.observations) - 1, n_steps).astype(int)
+    return policy, torch.tensor(episode.observations[chosen])
+
+
+def by_pyg(policy: Policy, algorithm: ExplainerAlgorithm, x: Tensor, seed: int = 0) -> Tensor:
+    """(N, D) -> (N, N): PyG on one graph, after `torch.manual_seed(seed)`."""
+    explainer = PygExplainer(
+        model=copy.deepcopy(policy),
+        algorithm=algorithm,
+        explanation_type="model",
+        edge_mask_type="object",
+        model_config=ModelConfig(mode="regression", task_level="node"),
+    )
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        mask: Tensor = explainer(x, complete_graph(len(x))).edge_mask
+    return mask.detach().reshape(len(x), len(x))

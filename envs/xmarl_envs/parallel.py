@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec, wrappers
 
+from xmarl_envs.scene import Track
 from xmarl_envs.seed_row import SeedRow
 from xmarl_envs.task import Task
 from xmarl_envs.vector_env import VectorEnv
@@ -42,6 +43,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         self.render_mode = render_mode
         self._vector = VectorEnv(task, n_episodes=1, max_cycles=max_cycles)
         self._renderer: Renderer | None = None
+        self._track: Track | None = None  # of what was seen, for pictures; None without them
         self._seeds = SeedRow()
         self.possible_agents = [f"agent_{i}" for i in range(task.n_agents)]
         self.agents: list[str] = []
@@ -74,6 +76,8 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
             self._seeds = SeedRow(seed)
         observation = self._vector.reset([self._seeds.draw()])[0]
         self.agents = list(self.possible_agents)
+        if self.render_mode is not None:
+            self._track = Track(self._vector.state)
         if self.render_mode == "human":
             self.render()
         # No infos: SuperSuit would put them in place of those of the step that ended the episode before.
@@ -109,6 +113,8 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         )
         if terminated or truncated:
             self.agents = []
+        if self._track is not None:
+            self._track.add(self._vector.state, step)
         if self.render_mode == "human":
             self.render()
         return result
@@ -116,18 +122,24 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
     def state(self) -> Array:
         return np.asarray(self._vector.observe()[0].reshape(-1))
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """(H, W, 3) uint8 with render_mode="rgb_array"; draws in a window with "human"."""
+    def render(self, mask: ArrayLike | None = None) -> NDArray[np.uint8] | None:
+        """(H, W, 3) uint8 with render_mode="rgb_array"; draws in a window with "human".
+
+        mask: (N, N) in [0, 1], an explanation to draw over the team: `mask[i, j]` is the message from j to i.
+        Raises ValueError without a render mode, before the first `reset`, and for what is no such mask.
+        """
         if self.render_mode is None:
             raise ValueError(
                 'nothing to render: make the environment with render_mode="human" or "rgb_array".'
             )
+        if self._track is None:
+            raise ValueError("nothing to render yet: call reset first.")
         if self._renderer is None:
             # Here, not above: pygame is slow to import and greets on standard output.
             from xmarl_envs.render import Renderer
 
             self._renderer = Renderer(self.task, window=self.render_mode == "human")
-        return self._renderer.draw(self._vector.state, episode=0)
+        return self._renderer.draw(self._track.scene(), mask)
 
     def close(self) -> None:
         if self._renderer is not None:

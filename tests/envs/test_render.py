@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
+import pygame
 import pytest
 from numpy.typing import NDArray
-from xmarl_envs import TASKS, TaskParallelEnv, make_task
-from xmarl_envs.render import SIZE, WALL, agent_colours
+from xmarl_envs import TASKS, State, Task, TaskParallelEnv, make_task
+from xmarl_envs.canvas import HEADER, SIZE
+from xmarl_envs.colours import FAINT, INK, NEAR, PAPER, WALL, Colour, agent_colours
+from xmarl_envs.render import Renderer
+from xmarl_envs.scene import Scene, Track
+from xmarl_envs.vector_env import VectorEnv
+
+Picture = NDArray[np.uint8]
+Floats = NDArray[np.float64]
 
 tasks = pytest.mark.parametrize("name", TASKS)
+RED = (214, 39, 40)
 
 
 @pytest.fixture(autouse=True)
@@ -16,14 +29,49 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
 
-def rendered(env: TaskParallelEnv) -> NDArray[np.uint8]:
-    frame = env.render()
+def rendered(env: TaskParallelEnv, mask: Floats | None = None) -> Picture:
+    frame = env.render(mask)
     assert frame is not None
     return frame
 
 
-def has_colour(frame: NDArray[np.uint8], colour: tuple[int, int, int]) -> bool:
-    return bool((frame == np.array(colour)).all(axis=-1).any())
+def drawn(
+    task: Task, scene: Scene, mask: Floats | None = None, title: str = "", reach: float = 0.0
+) -> Picture:
+    frame = Renderer(task, reach=reach).draw(scene, mask, title)
+    assert frame is not None
+    return frame
+
+
+def scene_of(*agents: tuple[float, float], track: Floats | None = None, collided: int | None = None) -> Scene:
+    """A team where it is said to be, its goals far up."""
+    positions = np.array(agents)
+    return Scene(
+        track=positions[None] if track is None else track,
+        targets=positions + np.array([0.0, 50.0]),
+        walls=np.zeros((0, 2)),
+        cycle=0,
+        reward=0.0,
+        total=0.0,
+        collided=np.arange(len(agents)) == collided,
+    )
+
+
+def count(frame: Picture, colour: Colour) -> int:
+    return int((frame == np.array(colour)).all(axis=-1).sum())
+
+
+def darkness(frame: Picture, x: float, y: float, reach: int = 12) -> float:
+    """How much darker than paper the picture is around a pixel of its world, on average."""
+    column, row = round(x), round(y) + HEADER
+    patch = frame[row - reach : row + reach, column - reach : column + reach]
+    return float(np.mean(np.array(PAPER) - patch.astype(np.float64)))
+
+
+def at(frame: Picture, colour: Colour) -> tuple[float, float]:
+    """Mean column and row in the world, below the header, of the pixels of a colour."""
+    rows, columns = np.nonzero((frame[HEADER:] == np.array(colour)).all(axis=-1))
+    return float(columns.mean()), float(rows.mean())
 
 
 @tasks
@@ -32,63 +80,283 @@ def test_everybody_is_in_the_picture(name: str, n_agents: int) -> None:
     env = TaskParallelEnv(make_task(name, n_agents), render_mode="rgb_array")
     env.reset(seed=0)
     frame = rendered(env)
-    assert frame.shape == (SIZE, SIZE, 3)
+    assert frame.shape == (HEADER + SIZE, SIZE, 3)
     assert frame.dtype == np.uint8
-    assert all(has_colour(frame, colour) for colour in agent_colours(n_agents))
-    assert has_colour(frame, WALL) == (name == "blind_passage_v0")
-    assert not has_colour(frame, agent_colours(n_agents + 1)[-1])
+    assert all(count(frame, colour) > 30 for colour in agent_colours(n_agents))
+    assert (count(frame, WALL) > 1000) == (name == "blind_passage_v0")
+    assert (count(frame, NEAR) > 1000) == (name == "blind_discovery_v0")
+    assert not count(frame, agent_colours(n_agents + 1)[-1])
     env.close()
 
 
-def test_sixty_four_agents_have_colours_of_their_own() -> None:
-    assert len(set(agent_colours(64))) == 64
-    env = TaskParallelEnv(make_task("blind_navigation_v0", 64), render_mode="rgb_array")
-    env.reset(seed=0)
-    frame = rendered(env)
-    assert all(has_colour(frame, colour) for colour in agent_colours(64))
+@pytest.mark.parametrize("n_agents", [1, 2, 8, 9, 16, 33, 64])
+def test_any_team_is_drawn_in_colours_of_its_own(n_agents: int) -> None:
+    colours = agent_colours(n_agents)
+    assert len(set(colours)) == n_agents
+    assert not set(colours) & {PAPER, INK, WALL, FAINT, NEAR}
+    task = make_task("blind_discovery_v0", n_agents)
+    env = VectorEnv(task)
+    env.reset([0])
+    everyone = np.full((n_agents, n_agents), 0.5)
+    frame = drawn(task, Track(env.state).scene(), everyone if n_agents < 10 else None)
+    assert all(count(frame, colour) > 5 for colour in colours)
+
+
+# What people with each kind of colour blindness see of linear RGB: Machado, Oliveira and Fernandes, "A
+# Physiologically-based Model for Simulation of Color Vision Deficiency" (2009), severity 1.
+BLINDNESS = {
+    "protanopia": (
+        (0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998),
+    ),
+    "deuteranopia": (
+        (0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413), (-0.01182, 0.04294, 0.968881),
+    ),
+    "tritanopia": (
+        (1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602), (0.004733, 0.691367, 0.3039),
+    ),
+}  # fmt: skip
+XYZ = ((0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.072175), (0.0193339, 0.119192, 0.9503041))
+
+
+def lab(colours: list[Colour], blindness: tuple[tuple[float, ...], ...]) -> Floats:
+    """CIE L*a*b* of sRGB colours as they are seen."""
+    srgb = np.array(colours) / 255
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    xyz = np.clip(linear @ np.array(blindness).T, 0, 1) @ np.array(XYZ).T / [0.95047, 1.0, 1.08883]
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
+    return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1)
+
+
+@pytest.mark.parametrize(("n_agents", "least"), [(8, 15.0), (16, 6.0)])
+@pytest.mark.parametrize("blindness", BLINDNESS)
+def test_colours_are_told_apart_by_colour_blind_readers(blindness: str, n_agents: int, least: float) -> None:
+    """CIE 1976 differences; 2.3 is just noticeable."""
+    seen = lab(agent_colours(n_agents), BLINDNESS[blindness])
+    apart = np.linalg.norm(seen[:, None] - seen[None], axis=-1)[np.triu_indices(n_agents, 1)]
+    assert apart.min() > least
 
 
 def test_up_is_up_and_right_is_right() -> None:
-    env = TaskParallelEnv(make_task("blind_navigation_v0", 1), render_mode="rgb_array")
-    where = []
-    for seed in range(2):
-        observation, _ = env.reset(seed=seed)
-        x, y = observation["agent_0"][:2]
-        rows, columns = np.nonzero((rendered(env) == agent_colours(1)[0]).all(axis=-1))
-        where.append((x, y, columns.mean(), rows.mean()))
-    (x0, y0, column0, row0), (x1, y1, column1, row1) = where
-    assert np.sign(x1 - x0) == np.sign(column1 - column0)
-    assert np.sign(y1 - y0) == -np.sign(row1 - row0)
+    task = make_task("blind_navigation_v0", 3)
+    frame = drawn(task, scene_of((0.0, 0.0), (0.5, 0.0), (0.0, 0.5)))
+    origin, right, up = (at(frame, colour) for colour in agent_colours(3))
+    pixels = 0.5 * SIZE / 2 / (1.06 + task.radius)
+    np.testing.assert_allclose(origin, [SIZE / 2, SIZE / 2], atol=2)
+    np.testing.assert_allclose(right, [SIZE / 2 + pixels, SIZE / 2], atol=2)
+    np.testing.assert_allclose(up, [SIZE / 2, SIZE / 2 - pixels], atol=2)
+
+
+def test_goals_are_in_the_colour_of_their_agent() -> None:
+    task = make_task("blind_navigation_v0", 2)
+    far = scene_of((-0.5, -0.5), (0.5, -0.5))
+    near = Scene(**{**vars(far), "targets": np.array([[0.5, 0.5], [-0.5, 0.5]])})
+    for i, colour in enumerate(agent_colours(2)):
+        new = (drawn(task, near) == np.array(colour)).all(-1) & ~(drawn(task, far) == np.array(colour)).all(
+            -1
+        )
+        rows, columns = np.nonzero(new)
+        assert rows.size > 50
+        assert rows.mean() < HEADER + SIZE / 2
+        assert (columns.mean() > SIZE / 2) == (i == 0)
+
+
+def test_a_team_that_leaves_the_picture_makes_it_wider() -> None:
+    task = make_task("blind_navigation_v0", 2)
+    frame = drawn(task, scene_of((7.0, 0.0), (0.0, -7.0)))
+    assert all(count(frame, colour) > 5 for colour in agent_colours(2))
+    # Where it has been counts as well, so that a picture does not jump back and forth.
+    start = scene_of((0.0, 0.0), (0.5, 0.0))
+    back = scene_of((0.0, 0.0), (0.5, 0.0), track=np.array([[[0, 3.0], [0.5, 0]], [[0, 0], [0.5, 0]]]))
+    blue = agent_colours(2)[1]
+    assert at(drawn(task, back), blue)[0] < at(drawn(task, start), blue)[0]
+    assert at(drawn(task, start, reach=3.0 + task.radius), blue) == at(drawn(task, back), blue)
+
+
+def test_trails_lead_from_where_agents_were() -> None:
+    task = make_task("blind_navigation_v0", 1)
+    track = np.linspace([[-0.8, 0.0]], [[0.4, 0.0]], 100)
+    trail, none = (drawn(task, scene_of((0.4, 0.0), track=t)) for t in (track, None))
+    changed = np.nonzero((trail != none).any(axis=-1))
+    pixel = SIZE / 2 / (1.06 + task.radius)
+    assert abs(changed[1].min() - (SIZE / 2 - 0.8 * pixel)) <= 3
+    assert abs(changed[1].max() - (SIZE / 2 + 0.3 * pixel)) <= 3
+    assert np.ptp(changed[0]) <= 4
+    old, new = (trail[HEADER + SIZE // 2, round(SIZE / 2 + x * pixel)].astype(int) for x in (-0.7, 0.25))
+    assert np.abs(old - PAPER).sum() < np.abs(new - PAPER).sum()  # it fades
+
+
+def test_who_collides_is_marked() -> None:
+    task = make_task("blind_navigation_v0", 2)
+    frame = drawn(task, scene_of((-0.5, 0.0), (0.5, 0.0), collided=1))
+    assert count(frame, RED) > 50
+    assert at(frame, RED)[0] > SIZE / 2
+    assert not count(drawn(task, scene_of((-0.5, 0.0), (0.5, 0.0))), RED)
+
+
+def test_collisions_reward_and_end_come_from_the_episode() -> None:
+    env = VectorEnv(make_task("blind_navigation_v0", 2), max_cycles=40)
+    env.reset([0])
+    track, total, collided = Track(env.state), 0.0, 0
+    for cycle in range(1, 41):
+        pull = env.state.position[:, ::-1] - env.state.position  # into each other
+        step = env.step(5 * pull)
+        track.add(env.state, step)
+        scene = track.scene()
+        total += step.reward[0].mean()
+        collided += scene.collided.sum()
+        assert scene.cycle == cycle
+        assert scene.reward == step.reward[0].mean()
+        assert scene.total == pytest.approx(total)
+        np.testing.assert_array_equal(scene.track[-1], env.state.position[0])
+        np.testing.assert_array_equal(scene.collided, step.agent_collision[0])
+        assert scene.ended == ("time is over" if cycle == 40 else "")
+    assert collided > 0
+
+
+def test_the_header_says_step_reward_and_return() -> None:
+    task = make_task("blind_navigation_v0", 1)
+    frames = []
+    for change in ({}, {"cycle": 7}, {"reward": 1.5}, {"total": -3.0}, {"ended": "done"}):
+        frames.append(drawn(task, Scene(**{**vars(scene_of((0.0, 0.0))), **change})))
+    frames.append(drawn(task, scene_of((0.0, 0.0)), title="another title"))
+    headers = {frame[:HEADER].tobytes() for frame in frames}
+    assert len(headers) == len(frames)
+    assert len({frame[HEADER:].tobytes() for frame in frames}) == 1
+
+
+ONE_WAY = np.array([[0.0, 0.0], [1.0, 0.0]])  # from 0 to 1
+
+
+def test_an_explanation_is_arrows_from_sender_to_receiver() -> None:
+    task = make_task("blind_navigation_v0", 2)
+    scene = scene_of((-0.6, 0.0), (0.6, 0.0))
+    without = drawn(task, scene)[HEADER:]
+    for mask, side in ((ONE_WAY, 1), (ONE_WAY.T, -1)):
+        rows, columns = np.nonzero((drawn(task, scene, mask)[HEADER:] != without).any(axis=-1))
+        thickness = np.bincount(columns, minlength=SIZE)
+        (tip,) = np.flatnonzero(thickness == thickness.max())[:1] - SIZE / 2
+        disc = 0.5 * SIZE / 2 / 1.16  # from the middle of the picture to the surface of the receiver
+        assert disc - 25 < side * tip < disc
+        assert abs(rows.mean() - SIZE / 2) < 12
+    # Each on its own side, so that both are seen where both are drawn.
+    both = drawn(task, scene, ONE_WAY + ONE_WAY.T)[HEADER:, SIZE // 2 - 50 : SIZE // 2 + 50]
+    dark = np.flatnonzero((both == np.array(INK)).all(axis=(1, 2)))
+    assert np.diff(dark).max() > 3
+
+
+def test_arrows_and_rings_grow_with_the_mask() -> None:
+    task = make_task("blind_navigation_v0", 2)
+    scene = scene_of((-0.6, 0.0), (0.6, 0.0))
+    middle = [darkness(drawn(task, scene, m * ONE_WAY), SIZE / 2, SIZE / 2) for m in (0.0, 0.2, 0.6, 1.0)]
+    assert middle[0] < middle[1] < middle[2] < middle[3]
+    column = SIZE / 2 - 0.6 * SIZE / 2 / 1.16
+    ring = [
+        darkness(drawn(task, scene, np.diag([m, 0.0])), column, SIZE / 2, 50) for m in (0.0, 0.2, 0.6, 1.0)
+    ]
+    assert ring[0] < ring[1] < ring[2] < ring[3]
+    half = SIZE // 2  # agent 1 has no ring
+    ringed, plain = (drawn(task, scene, mask)[HEADER:, half:] for mask in (np.diag([1.0, 0.0]), None))
+    np.testing.assert_array_equal(ringed, plain)
+
+
+def test_agents_on_one_spot_are_drawn_with_their_explanation() -> None:
+    task = make_task("blind_navigation_v0", 2)
+    frame = drawn(task, scene_of((0.0, 0.0), (0.0, 0.0)), np.ones((2, 2)))
+    assert count(frame, agent_colours(2)[1]) > 30
+
+
+@pytest.mark.parametrize(
+    ("mask", "said"),
+    [
+        (np.ones((3, 2)), r"shape \(2, 2\), got \(3, 2\)"),
+        (np.full((2, 2), 1.5), r"must lie in \[0, 1\]"),
+        (np.full((2, 2), np.nan), r"must lie in \[0, 1\]"),
+    ],
+)
+def test_what_is_no_mask_is_refused(mask: Floats, said: str) -> None:
+    env = TaskParallelEnv(make_task("blind_navigation_v0", 2), render_mode="rgb_array")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=said):
+        env.render(mask)
+
+
+def played(name: str, mode: str | None, n_agents: int = 3) -> list[NDArray[np.float32]]:
+    env = TaskParallelEnv(make_task(name, n_agents), render_mode=mode)
+    env.reset(seed=0)
+    states = []
+    for _ in range(5):
+        env.step({agent: np.full(2, 0.5, dtype=np.float32) for agent in env.agents})
+        states.append(env.state())
+        if mode is not None:
+            assert (env.render(np.full((n_agents, n_agents), 0.5)) is None) == (mode == "human")
+    env.close()
+    return states
 
 
 @tasks
 @pytest.mark.parametrize("render_mode", ["rgb_array", "human"])
 def test_looking_changes_nothing(name: str, render_mode: str) -> None:
-    states = []
-    for mode in (None, render_mode):
-        env = TaskParallelEnv(make_task(name, 3), render_mode=mode)
-        env.reset(seed=0)
-        for _ in range(5):
-            env.step({agent: np.full(2, 0.5, dtype=np.float32) for agent in env.agents})
-            if mode is not None:
-                assert (env.render() is None) == (mode == "human")
-        states.append(env.state())
-        env.close()
-    np.testing.assert_array_equal(states[0], states[1])
+    np.testing.assert_array_equal(played(name, None), played(name, render_mode))
 
 
-def test_the_picture_follows_the_episode() -> None:
-    env = TaskParallelEnv(make_task("blind_discovery_v0", 3), render_mode="rgb_array")
+def test_pictures_are_functions_of_the_episode() -> None:
+    """The same episode gives the same pictures whatever was drawn before."""
+    env = TaskParallelEnv(make_task("blind_navigation_v0", 3), render_mode="rgb_array")
     env.reset(seed=0)
-    before = rendered(env)
-    np.testing.assert_array_equal(before, rendered(env))
-    for _ in range(10):
+    first = rendered(env)
+    np.testing.assert_array_equal(first, rendered(env))
+    for _ in range(60):
         env.step({agent: np.ones(2, dtype=np.float32) for agent in env.agents})
-    assert (rendered(env) != before).any()
+    assert (rendered(env, np.ones((3, 3))) != first).any()
+    env.reset(seed=0)
+    np.testing.assert_array_equal(first, rendered(env))
+
+
+def test_a_closed_window_stays_closed_and_the_episode_goes_on() -> None:
+    env = TaskParallelEnv(make_task("blind_navigation_v0", 1), render_mode="human")
+    env.reset(seed=0)
+    assert pygame.display.get_init()
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    for _ in range(2):
+        env.step({"agent_0": np.ones(2, dtype=np.float32)})
+        assert not pygame.display.get_init()
+    env.close()
+
+
+def test_pictures_need_no_screen_at_all() -> None:
+    """No video driver can be found here, and rgb_array does not ask for one."""
+    code = (
+        "from xmarl_envs import TaskParallelEnv, make_task\n"
+        "env = TaskParallelEnv(make_task('blind_navigation_v0'), render_mode='rgb_array')\n"
+        "env.reset(seed=0)\n"
+        "assert env.render().std() > 1\n"
+    )
+    environment = {**os.environ, "SDL_VIDEODRIVER": "none-such"}
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=100, env=environment)
 
 
 def test_unknown_modes_and_none_are_refused() -> None:
     with pytest.raises(ValueError, match="render_mode must be one of"):
         TaskParallelEnv(make_task("blind_navigation_v0"), render_mode="ansi")
-    with pytest.raises(ValueError, match="nothing to render"):
+    with pytest.raises(ValueError, match="nothing to render: make"):
         TaskParallelEnv(make_task("blind_navigation_v0")).render()
+    with pytest.raises(ValueError, match="call reset first"):
+        TaskParallelEnv(make_task("blind_navigation_v0"), render_mode="rgb_array").render()
+
+
+def test_one_target_is_a_landmark_where_the_task_has_ranges_and_a_goal_where_not() -> None:
+    """Both tasks have as many targets as agents here."""
+    for name, landmark in (("blind_navigation_v0", False), ("blind_discovery_v0", True)):
+        task = make_task(name, 1)
+        scene = Scene(**{**vars(scene_of((-0.5, 0.0))), "targets": np.array([[0.5, 0.0]])})
+        assert (count(drawn(task, scene), NEAR) > 100) == landmark
+
+
+def test_an_episode_of_a_batch_is_drawn_alone() -> None:
+    state = State(
+        np.array([[[0.0, 0.0]], [[0.5, 0.5]]]), np.zeros((2, 1, 2)), np.zeros((2, 1, 2)), np.zeros((2, 0, 2))
+    )
+    scenes = [Track(state, episode).scene() for episode in (0, 1)]
+    np.testing.assert_array_equal(scenes[1].track, [[[0.5, 0.5]]])
+    state.position[:] = 9.0  # the next step overwrites what the state views
+    np.testing.assert_array_equal(scenes[0].track, [[[0.0, 0.0]]])

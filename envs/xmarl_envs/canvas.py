@@ -1,0 +1,128 @@
+"""Shapes in metres on a pygame surface: drawn twice as large and shrunk, for pygame's edges are jagged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pygame
+
+from xmarl_envs.colours import GRID, INK, PAPER, Colour
+from xmarl_envs.task import Floats
+
+SIZE = 640  # pixels, width of a picture and height of its world
+HEADER = 64  # pixels above the world; both are multiples of 16, as video codecs want them
+OVERSAMPLING = 2
+GRID_SPACING = 0.5  # m
+
+
+class Canvas:
+    """A square of the plane around the origin, with a header of text above it.
+
+    Coordinates and lengths are metres, y up; widths of lines and sizes of fonts are pixels of the picture.
+    """
+
+    def __init__(self, half_width: float) -> None:
+        pygame.font.init()  # pictures need fonts and no display: servers without a screen draw too
+        self.half_width = half_width
+        size = (OVERSAMPLING * SIZE, OVERSAMPLING * (SIZE + HEADER))
+        self._surface = pygame.Surface(size)
+        self._overlay = pygame.Surface(size, pygame.SRCALPHA)
+        self._fonts: dict[int, pygame.font.Font] = {}
+
+    def clear(self) -> None:
+        self._surface.fill(PAPER)
+        for k in range(-int(self.half_width / GRID_SPACING), int(self.half_width / GRID_SPACING) + 1):
+            at, reach = k * GRID_SPACING, self.half_width
+            self.line(np.array([[at, -reach], [at, reach]]), GRID, 1)
+            self.line(np.array([[-reach, at], [reach, at]]), GRID, 1)
+
+    def picture(self) -> pygame.Surface:
+        """(SIZE, HEADER + SIZE) pixels."""
+        return pygame.transform.smoothscale(self._surface, (SIZE, SIZE + HEADER))
+
+    def pixels(self, metres: float) -> float:
+        """A length in pixels of the picture."""
+        return metres / self.half_width * SIZE / 2
+
+    def metres(self, pixels: float) -> float:
+        """A length in the world of so many pixels of the picture."""
+        return pixels * 2 * self.half_width / SIZE
+
+    def disc(self, centre: Floats, radius: float, colour: Colour) -> None:
+        pygame.draw.circle(self._surface, colour, self._at(centre), self._length(radius))
+
+    def ring(self, centre: Floats, radius: float, colour: Colour, width: float, opacity: float = 1.0) -> None:
+        """A circle whose line lies inside the radius."""
+        line = max(1, round(OVERSAMPLING * width))
+        surface = self._surface if opacity == 1.0 else self._overlay
+        pygame.draw.circle(
+            surface, (*colour, round(255 * opacity)), self._at(centre), self._length(radius), line
+        )
+
+    def line(self, points: Floats, colour: Colour, width: float) -> None:
+        """(P, 2) a line through all points."""
+        pygame.draw.lines(
+            self._surface,
+            colour,
+            False,
+            [self._at(p) for p in points],
+            max(1, round(OVERSAMPLING * width)),
+        )
+
+    def polygon(self, points: Floats, colour: Colour, opacity: float = 1.0) -> None:
+        """(P, 2) filled. Translucent shapes lie above all others once `blend` is called."""
+        surface = self._surface if opacity == 1.0 else self._overlay
+        pygame.draw.polygon(surface, (*colour, round(255 * opacity)), [self._at(p) for p in points])
+
+    def blend(self) -> None:
+        """Lay the translucent shapes drawn so far over the picture."""
+        self._surface.blit(self._overlay, (0, 0))
+        self._overlay.fill((0, 0, 0, 0))
+
+    def box(self, centre: Floats, size: Sequence[float], colour: Colour) -> None:
+        half = np.array(size) / 2
+        self.polygon(centre + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]), colour)
+
+    def frame(self, half_width: float, colour: Colour) -> None:
+        """A square around the origin, and paper outside of it."""
+        (left, top), size = self._at(np.array([-half_width, half_width])), 2 * self._length(half_width)
+        square = pygame.Rect(left, top, size, size)
+        inside = self._surface.subsurface(square).copy()
+        self._surface.fill(PAPER)
+        self._surface.blit(inside, square)
+        pygame.draw.rect(self._surface, colour, square, OVERSAMPLING)
+
+    def label(self, centre: Floats, text: str, size: float, colour: Colour) -> None:
+        image = self._font(size).render(text, True, colour)
+        self._surface.blit(image, image.get_rect(center=self._at(centre)))
+
+    def header(self, line: int, text: str, size: float, right: bool = False) -> int:
+        """Text in line 0 or 1 above the world, at the left or right margin; returns its width in pixels."""
+        image = self._font(size).render(text, True, INK)
+        margin, middle = 12 * OVERSAMPLING, round((0.28 + 0.44 * line) * HEADER * OVERSAMPLING)
+        place = image.get_rect(centery=middle)
+        if right:
+            place.right = OVERSAMPLING * SIZE - margin
+        else:
+            place.left = margin
+        self._surface.blit(image, place)
+        return int(image.get_width() / OVERSAMPLING)
+
+    def clear_header(self) -> None:
+        """What was drawn beyond the world's upper edge does not show."""
+        self._surface.fill(PAPER, pygame.Rect(0, 0, OVERSAMPLING * SIZE, OVERSAMPLING * HEADER))
+
+    def _font(self, size: float) -> pygame.font.Font:
+        pixels = round(OVERSAMPLING * size)
+        if pixels not in self._fonts:
+            self._fonts[pixels] = pygame.font.Font(None, pixels)
+        return self._fonts[pixels]
+
+    def _at(self, point: Floats) -> tuple[int, int]:
+        x, y = np.clip(point / self.half_width, -4.0, 4.0)
+        size = OVERSAMPLING * SIZE
+        return round(size * (0.5 + 0.5 * x)), round(size * (0.5 - 0.5 * y)) + OVERSAMPLING * HEADER
+
+    def _length(self, metres: float) -> int:
+        return max(1, round(OVERSAMPLING * self.pixels(metres)))

@@ -1,0 +1,57 @@
+"""What a picture of an episode is drawn from: one moment of it, and what led there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from xmarl_envs.task import Bools, Floats, State
+from xmarl_envs.vector_env import Step
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One moment of one episode of N agents. Holds copies: the episode may go on."""
+
+    track: Floats  # (L, N, 2) m, positions from the start (or a while ago) to now; L >= 1
+    targets: Floats  # (T, 2) m
+    walls: Floats  # (W, 2) m, centres
+    cycle: int  # steps taken
+    reward: float  # of the last step, mean over agents
+    total: float  # of all steps so far
+    collided: Bools  # (N,) touched another agent or a wall in the last step
+    ended: str = ""  # why the episode is over, in a word or two; empty while it goes on
+
+
+class Track:
+    """Follows one episode of a batch from its start, for pictures."""
+
+    def __init__(self, state: State, episode: int = 0) -> None:
+        self._episode = episode
+        self._positions = [state.position[episode].copy()]
+        self._targets, self._walls = state.targets[episode].copy(), state.walls[episode].copy()
+        self._reward = self._total = 0.0
+        self._collided: Bools = np.zeros(state.position.shape[1], dtype=np.bool_)
+        self._ended = ""
+
+    def add(self, state: State, step: Step) -> None:
+        """The step just taken, and the state it led to."""
+        k = self._episode
+        self._positions.append(state.position[k].copy())
+        self._reward = float(step.reward[k].mean())
+        self._total += self._reward
+        self._collided = step.agent_collision[k] | step.object_collision[k]
+        self._ended = "done" if step.terminated[k] else "time is over" if step.truncated[k] else ""
+
+    def scene(self) -> Scene:
+        return Scene(
+            track=np.stack(self._positions),
+            targets=self._targets,
+            walls=self._walls,
+            cycle=len(self._positions) - 1,
+            reward=self._reward,
+            total=self._total,
+            collided=self._collided.copy(),
+            ended=self._ended,
+        )

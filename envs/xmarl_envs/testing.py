@@ -1,0 +1,278 @@
+"""Conformance: what a task promises to those who train on it, checked. For tasks of others, too.
+
+`check_task(MyTask)` in a test is all that is needed. In a few seconds it plays some thousand steps and raises
+an AssertionError whose sentence says which promise was broken, and how, at the first one that is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import subprocess
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cloudpickle
+import numpy as np
+from pettingzoo import ParallelEnv
+from pettingzoo.test import (
+    api_test,
+    max_cycles_test,
+    parallel_api_test,
+    parallel_seed_test,
+    render_test,
+    seed_test,
+)
+from pettingzoo.test.state_test import state_test
+from pettingzoo.utils import parallel_to_aec
+
+from xmarl_envs.parallel import make_constructors
+from xmarl_envs.task import Task
+from xmarl_envs.trajectory import Pushes, play, play_env, play_task
+from xmarl_envs.vector_env import VectorEnv
+
+MAX_STEPS = 1000  # of an episode that does not end by itself
+SIZES = (1, 2, 3, 4, 5, 8, 16, 32, 64)
+HASH_SEEDS = ("0", "12345")
+EXTREMES = (1.0, 1e3, 1e6)  # m/s and m
+Make = Callable[..., Any]  # a ParallelEnv's constructor with its options bound
+
+
+def check_task(task: type[Task] | Callable[..., Any], *, seed: int = 0, **options: Any) -> None:
+    """Raise an AssertionError that names the first promise which the task breaks.
+
+    Args:
+        task: a `Task` class, or a constructor of a PettingZoo ParallelEnv that takes `max_cycles` and, where
+            its metadata lists render modes, `render_mode`.
+        seed: of the episodes that are played.
+        options: handed to the task or constructor, e.g. `n_agents=5`.
+
+    Of every environment: PettingZoo's own tests of the parallel API, the turn-by-turn (AEC) API, seeds,
+    `max_cycles`, `state()` and rendering, none of them with a warning (but that spaces are unbounded); spaces
+    that contain all that is observed, also at full thrust; and whole episodes that are the same to the bit
+    whatever was played before, is played beside it or is drawn, and in other processes with other hash seeds.
+
+    Of a Task class also: no agent observes another; observations stay finite and in their space at any speed
+    and place; an episode does not depend on its neighbours in a batch; and every team size from 1 to
+    `max_agents` (tried up to 64) plays, the next ones below and above being refused.
+    """
+    with _quiet_and_without_screen():
+        if isinstance(task, type) and issubclass(task, Task):
+            make: Make = partial(make_constructors(task).parallel_env, **options)
+            rules = task(**options)
+            _check_environment(task.name, make, partial(play_task, rules, seed), seed)
+            _check_rules(rules, make, seed)
+            _check_team_sizes(task, seed, **options)
+        else:
+            make = partial(task, **options)
+            name = f"{task.__module__}.{getattr(task, '__qualname__', type(task).__qualname__)}"
+            _check_environment(name, make, partial(_play_new, make, seed), seed)
+
+
+def _check_environment(name: str, make: Make, episode: Callable[[], str], seed: int) -> None:
+    """What any ParallelEnv promises. episode: an episode's hash, asked of other processes."""
+    with _promise(name, "it can be made and is a PettingZoo ParallelEnv"):
+        env = make()
+        assert isinstance(env, ParallelEnv), f"it is a {type(env).__name__}"
+    _check_pettingzoo(name, make, bool(env.metadata.get("render_modes")))
+    for at_bounds in (False, True):
+        with _promise(name, "its spaces contain every observation"):
+            _check_contained(make(), seed, at_bounds)
+    with _promise(name, "another seed gives another episode"):
+        played = [_play_new(make, seed + k) for k in range(4)]
+        assert len(set(played)) == 4, "four seeds gave less than four episodes"
+    same = "the same seed and actions give the same episode"
+    with _promise(name, f"{same} whatever was played before"):
+        env = make()
+        for k in (1, 2, 0):
+            used = play_env(env, seed + k, MAX_STEPS)
+        assert used == played[0], "it differs after two other episodes in the same environment"
+    with _promise(name, f"{same} whatever is played beside it"):
+        other = make()
+        others_pushes = Pushes(other, seed + 1)
+
+        def step_the_other() -> None:
+            if not other.agents:
+                other.reset(seed=seed + 1)
+            other.step(others_pushes.next(other.agents))
+
+        assert play_env(make(), seed, MAX_STEPS, step_the_other) == played[0], (
+            "it differs while a second environment is stepped in turn with it"
+        )
+    if "rgb_array" in env.metadata.get("render_modes", ()):
+        with _promise(name, f"{same} whether it is drawn or not"):
+            drawn = make(render_mode="rgb_array")
+            assert play_env(drawn, seed, MAX_STEPS, _every(20, drawn.render)) == played[0], (
+                "it differs when it is rendered"
+            )
+            drawn.close()
+    here = episode()
+    for hash_seed in HASH_SEEDS:
+        with _promise(name, f"{same} in every process"):
+            assert _in_another_process(episode, hash_seed) == here, (
+                f"it differs in a process with PYTHONHASHSEED={hash_seed}"
+            )
+
+
+def _check_pettingzoo(name: str, make: Make, renders: bool) -> None:
+    def make_aec(**options: Any) -> Any:
+        return parallel_to_aec(make(**options))
+
+    passes = "it passes PettingZoo's {} without a warning"
+    with _promise(name, passes.format("parallel_api_test")):
+        parallel_api_test(make(), num_cycles=300)
+    with _promise(name, passes.format("api_test when stepped turn by turn")):
+        api_test(make_aec(), num_cycles=300)
+    with _promise(name, passes.format("parallel_seed_test")):
+        parallel_seed_test(make, num_cycles=500)
+    with _promise(name, passes.format("seed_test")):
+        seed_test(make_aec, num_cycles=500)
+    with _promise(name, passes.format("max_cycles_test")):
+        max_cycles_test(SimpleNamespace(parallel_env=make, env=make_aec))
+    with _promise(name, passes.format("state_test")):
+        state_test(make_aec(), make())
+    if renders:
+        with _promise(name, passes.format("render_test")):
+            render_test(make_aec)
+
+
+def _check_contained(env: Any, seed: int, at_bounds: bool) -> None:
+    """An episode under random pushes, or at full thrust."""
+    pushes = Pushes(env, seed, at_bounds)
+    observations, _ = env.reset(seed=seed)
+    for cycle in range(MAX_STEPS):
+        for agent, observation in observations.items():
+            _assert_contained(env, agent, observation, f"after {cycle} cycles")
+        if not env.agents:
+            break
+        observations, rewards, *_ = env.step(pushes.next(env.agents))
+        for agent, reward in rewards.items():
+            assert np.isfinite(reward), f"the reward of {agent} in cycle {cycle + 1} is {reward}"
+
+
+def _assert_contained(env: Any, agent: Any, observation: Any, when: str) -> None:
+    space = env.observation_space(agent)
+    assert space.contains(observation), f"that of {agent} {when} is not in {space}"
+    finite = not isinstance(observation, np.ndarray) or np.isfinite(observation).all()
+    assert finite, f"that of {agent} {when} is not finite"
+
+
+def _check_rules(task: Task, make: Make, seed: int) -> None:
+    """What a Task promises on top, tried on the arrays of its batches."""
+    name = task.name
+    rng = np.random.default_rng(seed)
+    with _promise(name, "no agent observes another"):
+        env = VectorEnv(task)
+        for trial in range(10):
+            env.reset([seed + trial])
+            env.step(rng.uniform(-1, 1, (1, task.n_agents, 2)))
+            for mover in range(task.n_agents):
+                before = env.observe()[0]
+                env.world.position[0, mover] = rng.uniform(-3, 3, 2)
+                env.world.velocity[0, mover] = rng.uniform(-3, 3, 2)
+                seen = np.flatnonzero((env.observe()[0] != before).any(axis=-1))
+                witnesses = [int(i) for i in seen if i != mover]
+                assert not witnesses, f"moving agent {mover} changed what agents {witnesses} observe"
+    with _promise(name, "its spaces contain every observation at any speed and place"):
+        shell = make()
+        env.reset([seed])
+        for extreme in EXTREMES:
+            env.world.velocity[0] = rng.uniform(-extreme, extreme, (task.n_agents, 2))
+            env.world.position[0] = rng.uniform(-extreme, extreme, (task.n_agents, 2))
+            for agent, observation in zip(shell.possible_agents, env.observe()[0], strict=True):
+                _assert_contained(shell, agent, observation, f"at {extreme:g} m/s")
+    with _promise(name, "an episode does not depend on its neighbours in a batch"):
+        alone = play_task(task, seed)
+        for n_episodes, slot in ((2, 1), (5, 0), (5, 3)):
+            env = VectorEnv(task, n_episodes)
+            for meddling in (False, True):
+                assert play(env, seed, slot, meddling)[0] == alone, (
+                    f"episode {slot} of {n_episodes} differs from the same episode alone"
+                    + (" while the others begin anew and drop out" if meddling else "")
+                )
+
+
+def _check_team_sizes(task: type[Task], seed: int, **options: Any) -> None:
+    options.pop("n_agents", None)
+    make = make_constructors(task).parallel_env
+    for n_agents in sorted({*(n for n in SIZES if n < task.max_agents), min(task.max_agents, SIZES[-1])}):
+        with _promise(task.name, f"it plays with any team of 1 to {task.max_agents}"):
+            env = make(n_agents=n_agents, max_cycles=3, **options)
+            assert len(env.possible_agents) == n_agents, f"{n_agents} make a team of {env.possible_agents}"
+            _check_contained(env, seed, at_bounds=True)
+    for n_agents in (0, task.max_agents + 1):
+        with _promise(task.name, f"it refuses a team of {n_agents}, saying so in a ValueError"):
+            try:
+                make(n_agents=n_agents, **options)
+            except ValueError as refusal:
+                assert str(n_agents) in str(refusal), f"the error only says {str(refusal)!r}"
+            else:
+                raise AssertionError("the team was made")
+
+
+def _play_new(make: Make, seed: int) -> str:
+    return play_env(make(), seed, MAX_STEPS)
+
+
+def _every(n: int, act: Callable[[], object]) -> Callable[[], None]:
+    """A function that does `act` at its first and then at every n-th call."""
+    calls = 0
+
+    def maybe() -> None:
+        nonlocal calls
+        if calls % n == 0:
+            act()
+        calls += 1
+
+    return maybe
+
+
+def _in_another_process(episode: Callable[[], str], hash_seed: str) -> str:
+    """What `episode` returns in a new Python with this PYTHONHASHSEED."""
+    code = "import pickle, sys; print(); print(pickle.load(sys.stdin.buffer)())"
+    path = os.pathsep.join(folder or str(Path.cwd()) for folder in sys.path)
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        input=cloudpickle.dumps(episode),
+        env={**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": path},
+        capture_output=True,
+        check=False,
+    )
+    assert run.returncode == 0, f"there it fails with {run.stderr.decode().strip().splitlines()[-1]}"
+    return str(run.stdout.decode().splitlines()[-1])
+
+
+@contextlib.contextmanager
+def _promise(name: str, promise: str) -> Iterator[None]:
+    """Whatever is raised inside becomes one sentence that names the promise. PettingZoo's tests only warn of
+    most faults, and say nothing in many assertions: then the sentence quotes the assertion."""
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", category=UserWarning, module=r"pettingzoo\.")
+            warnings.filterwarnings("ignore", message=".*(minimum|maximum).*space value.*infinity.*")
+            yield
+    except Exception as error:
+        said = str(error).strip().splitlines()
+        how = said[0].rstrip(".") if said else traceback.extract_tb(error.__traceback__)[-1].line
+        kind = "" if isinstance(error, AssertionError) else f"{type(error).__name__}: "
+        raise AssertionError(f"{name} breaks the promise that {promise}: {kind}{how}.") from error
+
+
+@contextlib.contextmanager
+def _quiet_and_without_screen() -> Iterator[None]:
+    """PettingZoo's tests print that they passed; windows of pygame go nowhere unless a driver is set."""
+    driver = os.environ.get("SDL_VIDEODRIVER")
+    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        if driver is None:
+            del os.environ["SDL_VIDEODRIVER"]

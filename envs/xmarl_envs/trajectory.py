@@ -1,0 +1,130 @@
+"""Plays seeded episodes and hashes every bit of them: equal hashes are equal episodes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from xmarl_envs.task import Task
+from xmarl_envs.vector_env import VectorEnv
+
+HELD = 10  # steps for which an agent keeps its action; white noise would hardly move a body
+
+
+class Pushes:
+    """Random actions for each agent of a ParallelEnv, out of its action space, held for a while.
+
+    They follow from the seed and the agent's place in `possible_agents`, and on nothing that happens.
+    at_bounds: bounded boxes are sampled at their bounds.
+    """
+
+    def __init__(self, env: Any, seed: int, at_bounds: bool = False) -> None:
+        self._spaces: dict[Any, spaces.Space[Any]] = {}
+        self._rngs: dict[Any, np.random.Generator] = {}
+        for i, agent in enumerate(env.possible_agents):
+            # A copy: sampling draws from a generator inside of the space, which belongs to the environment.
+            self._spaces[agent] = deepcopy(env.action_space(agent))
+            self._spaces[agent].seed(seed + i)
+            self._rngs[agent] = np.random.default_rng([seed, i])
+        self._at_bounds = at_bounds
+        self._actions: dict[Any, Any] = {}
+        self._cycle = 0
+
+    def next(self, agents: list[Any]) -> dict[Any, Any]:
+        """The actions of the live agents for the next step."""
+        if self._cycle % HELD == 0:
+            self._actions = {agent: self._draw(agent) for agent in self._spaces}
+        self._cycle += 1
+        return {agent: self._actions[agent] for agent in agents}
+
+    def _draw(self, agent: Any) -> Any:
+        space = self._spaces[agent]
+        if self._at_bounds and isinstance(space, spaces.Box) and space.is_bounded():
+            high = self._rngs[agent].random(space.shape) < 0.5
+            return np.where(high, space.high, space.low).astype(space.dtype)
+        return space.sample()
+
+
+def play_env(env: Any, seed: int, max_steps: int, after_step: Callable[[], object] | None = None) -> str:
+    """One episode of a ParallelEnv under random pushes: the hash of all that `reset` and `step` return.
+
+    after_step: called after the reset and after each step, between the environment's own doings.
+    """
+    digest = hashlib.sha256()
+    pushes = Pushes(env, seed)
+    feed(digest, env.reset(seed=seed))
+    for _ in range(max_steps):
+        if after_step is not None:
+            after_step()
+        if not env.agents:
+            break
+        feed(digest, env.step(pushes.next(env.agents)))
+    return digest.hexdigest()
+
+
+def feed(digest: Any, value: Any) -> None:
+    """Add numbers, arrays and text to a hash, also in containers; a mapping in the order of its keys."""
+    if isinstance(value, Mapping):
+        for key in sorted(value, key=str):
+            digest.update(str(key).encode())
+            feed(digest, value[key])
+    elif isinstance(value, list | tuple):
+        for part in value:
+            feed(digest, part)
+    elif isinstance(value, np.ndarray | np.generic | int | float):
+        array = np.asarray(value)
+        digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    else:  # by type only: the text of an arbitrary object may hold its address
+        digest.update((value if isinstance(value, str) else type(value).__name__).encode())
+
+
+def play_task(task: Task, seed: int) -> str:
+    """One episode of a task, alone in its batch: see `play`."""
+    return play(VectorEnv(task), seed)[0]
+
+
+def play(env: VectorEnv, seed: int, slot: int = 0, meddling: bool = False) -> tuple[str, int]:
+    """One episode in `slot` of a batch: the hash of its observations, rewards and events, and its contacts.
+
+    The team pushes at random and to the middle of its goals (or away from a landmark, for the episode to
+    last), so that agents and walls are touched.
+    meddling: the other slots play other episodes, begin anew at odd moments, and drop out.
+    """
+    digest = hashlib.sha256()
+    rng = np.random.default_rng([seed, 1])
+    other_rng = np.random.default_rng([seed, slot, 2])
+    others = [k for k in range(env.n_episodes) if k != slot]
+    observation = env.reset([seed if k == slot else 1000 + k for k in range(env.n_episodes)])
+    digest.update(observation[slot].tobytes())
+    meeting = meeting_point(env, slot)
+    n_contacts = 0
+    while True:
+        action = other_rng.uniform(-1, 1, (env.n_episodes, env.task.n_agents, 2))
+        pull = meeting - env.state.position[slot]
+        action[slot] = 2 * pull + rng.uniform(-1, 1, (env.task.n_agents, 2))
+        live = np.ones(env.n_episodes, dtype=np.bool_)
+        if meddling and others:
+            live[others] = other_rng.random(len(others)) < 0.9
+        step = env.step(action, live)
+        for part in step:
+            digest.update(part[slot].tobytes())
+        n_contacts += int((step.agent_collision[slot] | step.object_collision[slot]).sum())
+        if step.terminated[slot] or step.truncated[slot]:
+            return digest.hexdigest(), n_contacts
+        if meddling and others and other_rng.random() < 0.05:
+            other = int(other_rng.choice(others))
+            env.reset([int(other_rng.integers(1000))], [other])
+
+
+def meeting_point(env: VectorEnv, slot: int) -> NDArray[np.float64]:
+    """(2,) m: where the team of one episode gets in one another's way."""
+    targets = env.state.targets[slot]
+    if len(targets) == env.task.n_agents:
+        return np.asarray(targets.mean(axis=0))
+    return -targets[0] if len(targets) else np.zeros(2)

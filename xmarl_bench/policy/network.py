@@ -57,7 +57,7 @@ class GraphPolicy(Policy):
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
         """(n, D), (2, edges) -> (n, A) deterministic actions, by PyG's message passing on any graph."""
         hidden = self.gat(self.encoder(x), edge_index)
-        return self._head(hidden).action
+        return self.head(hidden).action
 
     def prepare(self, observation: Tensor) -> Prepared:
         """(S, N, D) -> attention and messages on the complete graph with self loops."""
@@ -74,13 +74,14 @@ class GraphPolicy(Policy):
         mask: (..., S, N, N) in [0, 1], any leading axes; None is the mask of ones.
         """
         weight = prepared.attention if mask is None else prepared.attention * mask
-        return self._head(weight @ prepared.message + self.gat.bias)
+        return self.head(weight @ prepared.message + self.gat.bias)
 
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N): the coefficients of the one head of the one layer."""
         return self.prepare(observation).attention
 
-    def _head(self, hidden: Tensor) -> ActionDistribution:
+    def head(self, hidden: Tensor) -> ActionDistribution:
+        """(..., W) output of the layer -> the action distribution."""
         return tanh_normal(self.decoder(self.gat_activation(hidden)))
 
 

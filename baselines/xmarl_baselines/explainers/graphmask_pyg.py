@@ -1,12 +1,14 @@
-"""GraphMask as torch_geometric 2.8.1 ships it, bugs and all, for comparability with what others ran.
+"""GraphMask as torch_geometric 2.8.1 has it, bugs and all, for comparability with what others ran.
 
 Paper: Schlichtkrull, De Cao and Titov, "Interpreting Graph Neural Networks for NLP With Differentiable Edge
 Masking" (ICLR 2021): hard-concrete gates on unmodified messages, a learned baseline in place of a dropped
 message, and the fewest messages under a constraint on the change of the prediction, by a Lagrangian.
+`graphmask` is that, per timestep.
 
-What PyG's code does instead on a policy of this benchmark (verified on 2.8.1, not corrected here):
+What PyG's code does instead on a policy of this benchmark (verified on 2.8.1, restated here, not corrected):
 
-- the explained layer's messages become relu(layer_norm(message)), so it explains another network;
+- the explained layer's messages become relu(layer_norm(message)), so it explains another network, and at the
+  end the gates see messages that were already gated;
 - an untrained feature mask scales the observations although no feature mask was asked for;
 - the multiplier lambda is made anew in every epoch, so the constraint never tightens;
 - where the layer's input and output sizes differ (navigation: 6 -> 32), the gates are made anew after the
@@ -15,51 +17,227 @@ What PyG's code does instead on a policy of this benchmark (verified on 2.8.1, n
   zeros, and masks are 0 or 1;
 - the learned baselines are scalars.
 
-Each graph gets a private copy of the policy, for the algorithm leaves hooks and frozen weights on it.
+Departures: none from PyG. Its loop is restated with parameters, an objective and a random stream per
+timestep. On the same random numbers masks equal PyG's own, one graph at a time, in float64 (a test runs
+both). In float32 a gate near the threshold may fall to the other side. For policies other than a
+`GraphPolicy` PyG's class itself runs, one graph at a time.
 """
 
 from __future__ import annotations
 
-from torch_geometric.explain import GraphMaskExplainer
+import math
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+from torch_geometric.explain import GraphMaskExplainer
+from torch_geometric.nn import MessagePassing
+
+from xmarl_baselines.batching import chunks, timestep_seeds
+from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.explainer import Explainer
+from xmarl_bench.policy import GraphPolicy, Policy
 from xmarl_bench.pyg import PygExplain
 
-# PyG's defaults, stated.
-EPOCHS = 100
-LEARNING_RATE = 0.01
-PENALTY_SCALING = 5
-LAMBDA_LEARNING_RATE = 0.01
-INIT_LAMBDA = 0.55
-ALLOWANCE = 0.03
+BETA, GAMMA, ZETA, LOCATION = 1 / 3, -0.2, 1.2, 2  # hard concrete, not arguments in PyG
+STEPS_AT_ONCE = 128  # a timestep has up to 17,000 parameters of its own, and Adam three more copies
 
 
-def make_algorithm() -> GraphMaskExplainer:
-    # No coefficients: GraphMaskExplainer keeps those on the class, and they would leak to every later graph.
-    return GraphMaskExplainer(
-        num_layers=1,
-        epochs=EPOCHS,
-        lr=LEARNING_RATE,
-        penalty_scaling=PENALTY_SCALING,
-        lambda_optimizer_lr=LAMBDA_LEARNING_RATE,
-        init_lambda=INIT_LAMBDA,
-        allowance=ALLOWANCE,
-        log=False,
-    )
+@dataclass(frozen=True)
+class GraphMaskPygSettings:
+    """PyG's names and defaults."""
 
+    epochs: int = 100
+    lr: float = 0.01
+    penalty_scaling: int = 5
+    lambda_optimizer_lr: float = 0.01  # without effect: every lambda lives for one step
+    init_lambda: float = 0.55
+    allowance: float = 0.03
+
+
+class Gates(NamedTuple):
+    """Parameters of PyG's gates, one set per timestep; V is the width of gate inputs, W of the layer.
+
+    The three inputs are, in this order, embeddings of the sender, message, embeddings of the receiver.
+    """
+
+    transforms: list[Tensor]  # 3 x (S, W, V)
+    scales: list[Tensor]  # 3 x (S, W), of the layer norms
+    shifts: list[Tensor]  # 3 x (S, W)
+    bias: Tensor  # (S,)
+    weight: Tensor  # (S, W), of the output layer
+    offset: Tensor  # (S,)
+    baseline: Tensor  # (S,), float32 as in PyG whatever the default
+
+    def parameters(self) -> list[Tensor]:
+        """Every tensor that is trained."""
+        singles = [self.bias, self.weight, self.offset, self.baseline]
+        return [*self.transforms, *self.scales, *self.shifts, *singles]
+
+    def logits(self, layer: LayerState) -> Tensor:
+        """(S, N, N): one per edge."""
+        n_steps, n_agents, width = layer.sender.shape
+        of_sender, of_message, of_receiver = (
+            F.layer_norm(x.flatten(1, -2) @ transform.mT, (width,)) * scale[:, None] + shift[:, None]
+            for x, transform, scale, shift in zip(
+                layer, self.transforms, self.scales, self.shifts, strict=True
+            )
+        )
+        of_message = of_message.view(n_steps, n_agents, n_agents, width)
+        total = self.bias.view(-1, 1, 1, 1) + of_sender[:, None, :] + of_message + of_receiver[:, :, None]
+        return torch.einsum("sijw,sw->sij", torch.relu(total / 3), self.weight) + self.offset.view(-1, 1, 1)
+
+
+class LayerState(NamedTuple):
+    """What PyG's hook keeps of a pass through the layer: the inputs of the gates."""
+
+    sender: Tensor  # (S, N, W): W_l x_j
+    message: Tensor  # (S, N, N, W) on j -> i
+    receiver: Tensor  # (S, N, W): W_r x_i
+
+
+class Start(NamedTuple):
+    """All that is drawn for one timestep, in PyG's order."""
+
+    feature_mask: Tensor  # (1, D) logits
+    gates: Gates  # without the axis of timesteps
+    noise: Tensor  # (epochs, N, N)
+
+
+def draw(policy: GraphPolicy, n_agents: int, epochs: int, seed: int) -> Start:
+    """What PyG draws after `torch.manual_seed(seed)`, in the same order and shapes."""
+    generator = torch.Generator().manual_seed(seed)
+    n_in, width = policy.gat.in_channels, policy.gat.out_channels
+    feature_mask, gates = _draw_masks(policy.architecture.obs_dim, n_in, width, generator)
+    if n_in != width:  # PyG's gates do not fit their inputs: it makes new ones, that do
+        feature_mask, gates = _draw_masks(policy.architecture.obs_dim, width, width, generator)
+    noise = [
+        torch.empty(n_agents**2, 1).uniform_(1e-6, 1.0 - 1e-6, generator=generator) for _ in range(epochs)
+    ]
+    return Start(feature_mask, gates, torch.stack(noise).view(epochs, n_agents, n_agents))
+
+
+def _draw_masks(obs_dim: int, n_in: int, width: int, generator: torch.Generator) -> tuple[Tensor, Gates]:
+    feature_mask = torch.randn(1, obs_dim, generator=generator) * 0.1
+    input_dims = (n_in, width, n_in)
+    transforms = [torch.empty(width, dim) for dim in input_dims]
+    for transform in transforms:  # torch.nn.Linear's own initialisation, then overwritten
+        nn.init.kaiming_uniform_(transform, a=math.sqrt(5), generator=generator)
+    bound = math.sqrt(3.0) * math.sqrt(2.0 / float(sum(input_dims) + width))
+    for transform in transforms:
+        transform.uniform_(-bound, bound, generator=generator)
+    weight, offset = torch.empty(1, width), torch.empty(1)
+    nn.init.kaiming_uniform_(weight, a=math.sqrt(5), generator=generator)
+    offset.uniform_(-1 / math.sqrt(width), 1 / math.sqrt(width), generator=generator)
+    stdv = 1.0 / math.sqrt(width)
+    baseline = torch.tensor(width, dtype=torch.float).uniform_(-stdv, stdv, generator=generator)
+    ones, zeros = torch.ones(width), torch.zeros(width)
+    bias = torch.tensor(0.0, dtype=torch.float)
+    return feature_mask, Gates(transforms, [ones] * 3, [zeros] * 3, bias, weight[0], offset[0], baseline)
+
+
+def gate_masks(
+    policy: GraphPolicy, observations: Tensor, starts: list[Start], settings: GraphMaskPygSettings
+) -> Tensor:
+    """One chunk: (S, N, D) observations and what was drawn for each timestep -> masks (S, N, N)."""
+    with torch.no_grad():
+        target = policy.distribution(observations).action
+        feature_mask = torch.stack([start.feature_mask for start in starts]).sigmoid()
+        original, scaled = (layer_state(policy, x) for x in (observations, observations * feature_mask))
+    gates = _stack([start.gates for start in starts])
+    noise = torch.stack([start.noise for start in starts], dim=1)
+    trained = policy.gat.in_channels == policy.gat.out_channels
+    if not trained:
+        noise = noise[-1:]  # nothing changes from epoch to epoch, and the last one leaves its messages
+    multiplier = F.softplus(torch.tensor(settings.init_lambda))
+    optimizer = torch.optim.Adam(gates.parameters(), lr=settings.lr)
+    gated = scaled.message
+    for u in noise:
+        with torch.set_grad_enabled(trained):
+            if trained:
+                for parameter in gates.parameters():
+                    parameter.requires_grad_()
+            opened = gates.logits(original) + LOCATION
+            z = _hard(torch.sigmoid((torch.log(u) - torch.log(1 - u) + opened) / BETA))
+            baseline = gates.baseline.view(-1, 1, 1, 1)
+            gated = scaled.message * z[..., None] + (1 - z)[..., None] * baseline
+            if not trained:
+                continue
+            action = policy.head(gated.sum(dim=2) + policy.gat.bias).action
+            error = (action - target).square().mean(dim=(-2, -1))
+            penalty = torch.sigmoid(opened - BETA * math.log(-GAMMA / ZETA)).mean(dim=(-2, -1))
+            loss = multiplier * torch.relu(error - settings.allowance) + settings.penalty_scaling * penalty
+            gradients = torch.autograd.grad(loss.sum(), gates.parameters())
+        for parameter, gradient in zip(gates.parameters(), gradients, strict=True):
+            parameter.grad = gradient
+        optimizer.step()
+    with torch.no_grad():
+        last = scaled._replace(message=gated.detach())
+        return _hard(torch.sigmoid(gates.logits(last) + LOCATION))
+
+
+def layer_state(policy: GraphPolicy, observations: Tensor) -> LayerState:
+    """(S, N, D) -> what reaches the gates, messages turned into relu(layer_norm(message))."""
+    x = policy.encoder(observations)
+    sender, receiver = policy.gat.lin_l(x), policy.gat.lin_r(x)
+    message = policy.prepare(observations).attention[..., None] * sender[:, None]
+    return LayerState(sender, F.layer_norm(message, (message.shape[-1],)).relu(), receiver)
+
+
+def _hard(s: Tensor) -> Tensor:
+    """(S, N, N) in (0, 1) -> 0 or 1 by the midpoint of each timestep's range, gradients straight through."""
+    soft = (s * (ZETA - GAMMA) + GAMMA).clamp(0, 1)
+    midpoint = (soft.amin(dim=(-2, -1), keepdim=True) + soft.amax(dim=(-2, -1), keepdim=True)) / 2
+    hard = (soft > midpoint).to(soft.dtype)
+    return soft + (hard - soft).detach()
+
+
+def _stack(gates: list[Gates]) -> Gates:
+    """Parameters of single timesteps -> with an axis of timesteps."""
+    fields: list[Tensor | list[Tensor]] = []
+    for values in zip(*gates, strict=True):
+        if isinstance(values[0], list):
+            fields.append([torch.stack(part) for part in zip(*values, strict=True)])
+        else:
+            fields.append(torch.stack(values))
+    return Gates(*fields)  # type: ignore[arg-type]
+
+
+def graphmask_pyg_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N) of zeros and ones."""
+    if isinstance(policy, GraphPolicy):
+        return batched(policy, observations, generator, SETTINGS)
+    n_layers = sum(isinstance(module, MessagePassing) for module in policy.modules())
+    return PygExplain(lambda: pyg_algorithm(n_layers, SETTINGS))(policy, observations, generator)
+
+
+def batched(
+    policy: GraphPolicy, observations: Tensor, generator: torch.Generator, settings: GraphMaskPygSettings
+) -> Tensor:
+    """(S, N, D) -> (S, N, N) of zeros and ones, chunk by chunk."""
+    n_steps, n_agents, _ = observations.shape
+    private, seeds = frozen(policy), timestep_seeds(n_steps, generator)
+    masks = []
+    for steps in chunks(n_steps, n_agents, steps_at_once=STEPS_AT_ONCE):
+        starts = [draw(private, n_agents, settings.epochs, seed) for seed in seeds[steps]]
+        masks.append(gate_masks(private, observations[steps], starts, settings))
+    return torch.cat(masks).round()  # the straight-through sum may be one rounding off 1
+
+
+def pyg_algorithm(n_layers: int, settings: GraphMaskPygSettings) -> GraphMaskExplainer:
+    """PyG's own class."""
+    return GraphMaskExplainer(num_layers=n_layers, log=False, **asdict(settings))
+
+
+SETTINGS = GraphMaskPygSettings()
 
 graphmask_pyg = Explainer(
     "graphmask-pyg",
-    PygExplain(make_algorithm),
-    "PyG's GraphMask as it is, known bugs included, one graph at a time",
+    graphmask_pyg_mask,
+    "PyG's GraphMask as it is, known bugs included, batched over timesteps",
     stochastic=True,
     slow=True,
-    hyperparameters={
-        "epochs": EPOCHS,
-        "lr": LEARNING_RATE,
-        "penalty_scaling": PENALTY_SCALING,
-        "lambda_optimizer_lr": LAMBDA_LEARNING_RATE,
-        "init_lambda": INIT_LAMBDA,
-        "allowance": ALLOWANCE,
-    },
+    hyperparameters=asdict(SETTINGS),
 )

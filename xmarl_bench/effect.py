@@ -1,0 +1,43 @@
+"""A scalar per agent that gradients, Shapley values and Captum can attribute to messages.
+
+    e_i(m) = mean over action entries of sign(F_i(1) - F_i(0)) * (F_i(m) - F_i(0))
+
+is how far the action has moved under m along what all messages together do to it. e_i(0) = 0 and e_i(1) is
+d_i(0), the mean absolute change that removing all messages makes; while no entry overshoots F_i(1),
+e_i(m) = d_i(0) - d_i(m), with the d_i of the fidelities.
+
+S is the number of timesteps, N agents, A action entries.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from xmarl_bench.policy import Policy
+
+
+def effect_direction(policy: Policy, prepared: Any, n_steps: int, n_agents: int) -> Tensor:
+    """(S, N, A): sign(F_i(1) - F_i(0)) / A, so that e_i is its product with F_i, up to a constant."""
+    with torch.no_grad():
+        full = policy.decode(prepared).action
+        silent = policy.decode(prepared, torch.zeros(n_steps, n_agents, n_agents, dtype=full.dtype)).action
+    return torch.sign(full - silent) / full.shape[-1]
+
+
+def signed_to_unit(attribution: Tensor) -> Tensor:
+    """(..., N, N) -> [0, 1]: 0.5 + a / (2 max |a|) over each row.
+
+    Keeps the order and the sign: above 0.5 a message pushes the action the way all of them do, below 0.5
+    against it. A row of zeros becomes 0.5.
+    """
+    largest = attribution.abs().amax(dim=-1, keepdim=True)
+    return 0.5 + attribution / (2 * torch.where(largest > 0, largest, 1.0))
+
+
+def share_of_largest(attribution: Tensor) -> Tensor:
+    """(..., N, N), not negative -> [0, 1]: a / max a over each row. A row of zeros stays."""
+    largest = attribution.amax(dim=-1, keepdim=True)
+    return attribution / torch.where(largest > 0, largest, 1.0)

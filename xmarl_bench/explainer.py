@@ -14,7 +14,9 @@ import torch
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.policy import Policy
+from xmarl_bench.pyg import class_settings_kept
+from xmarl_bench.reproducible import seeded
 
 Scalar = bool | int | float | str | None
 
@@ -22,7 +24,7 @@ Scalar = bool | int | float | str | None
 class Explain(Protocol):
     """Says how much each message matters."""
 
-    def __call__(self, policy: GraphPolicy, observations: Tensor, generator: torch.Generator, /) -> Tensor:
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator, /) -> Tensor:
         """(S, N, D) float32 observations of one episode -> mask (S, N, N) in [0, 1].
 
         mask[s, i, j] is how much edge j -> i (sender j, receiver i; the diagonal is the agent's own edge)
@@ -46,15 +48,15 @@ class Explainer:
     hyperparameters: Mapping[str, Scalar] = field(default_factory=dict)
 
 
-def run_explainer(explainer: Explainer, policy: GraphPolicy, observations: Tensor, seed: int) -> Tensor:
+def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
     """(S, N, D) -> (S, N, N): the checked mask of one episode, a function of its arguments alone.
 
-    The explainer sees copies, so the policy cannot be touched. torch's global random state is seeded, for
-    explainers that ignore their generator, and put back afterwards. Raises InputError, naming the
-    explainer, for whatever goes wrong inside it.
+    The explainer sees copies, so the policy cannot be touched. The global random states of torch, numpy and
+    Python are seeded, for explainers that ignore their generator, and put back afterwards, and so is what
+    PyG's algorithms keep on their class. Raises InputError, naming the explainer, for whatever goes wrong
+    inside it.
     """
-    with torch.random.fork_rng(devices=[]), torch.inference_mode(False), torch.enable_grad():
-        torch.manual_seed(seed)
+    with seeded(seed), class_settings_kept(), torch.inference_mode(False), torch.enable_grad():
         generator = torch.Generator().manual_seed(seed)
         try:
             mask = explainer.explain(copy.deepcopy(policy), observations.clone(), generator)

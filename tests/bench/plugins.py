@@ -6,46 +6,47 @@ import torch
 from torch import Tensor
 
 from xmarl_bench.explainer import Explain, Explainer
-from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.policy import GraphPolicy, Policy
 
 
 def _constant(value: float) -> Explain:
-    def explain(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    def explain(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
         n_steps, n_agents, _ = observations.shape
         return torch.full((n_steps, n_agents, n_agents), value)
 
     return explain
 
 
-def _late_nan(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def _late_nan(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     mask = torch.ones(len(observations), observations.shape[1], observations.shape[1])
     mask[1:] = torch.nan  # the first timestep is in order
     return mask
 
 
-def _wrong_shape(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def _wrong_shape(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     return torch.ones(len(observations), observations.shape[1])
 
 
-def _not_a_tensor(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def _not_a_tensor(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     return [[1.0]]  # type: ignore[return-value]
 
 
-def _integers(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def _integers(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     return torch.ones(len(observations), observations.shape[1], observations.shape[1], dtype=torch.long)
 
 
-def _crash(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def _crash(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     raise RuntimeError("out of coffee")
 
 
-def _vandal(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+def _vandal(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """Works, but ruins everything it is given and every global state it can reach."""
     with torch.no_grad():
         for parameter in policy.parameters():
             parameter.zero_()
             parameter.requires_grad_(False)
     policy.train()
+    assert isinstance(policy, GraphPolicy)
     policy.gat.register_message_forward_hook(lambda *_: torch.zeros(1))
     observations.fill_(7.0)
     torch.manual_seed(12345)
@@ -71,6 +72,7 @@ nan = BAD["nan"]
 late_nan = BAD["late-nan"]
 wrong_shape = BAD["wrong-shape"]
 crash = BAD["crash"]
+slow = Explainer("slow", _constant(0.5), slow=True)
 vandal = Explainer("vandal", _vandal, stochastic=True)
 misnamed = Explainer("another", _constant(0.5))
 not_an_explainer = "a string"

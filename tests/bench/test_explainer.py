@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import random
+
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch_geometric.explain import GraphMaskExplainer
 
 from tests.bench.plugins import BAD, vandal
 from tests.policies import random_observations, small_policy
 from xmarl_bench.controls import CONTROLS
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer, checked_mask, run_explainer
-from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.policy import Policy
 
 
 @pytest.mark.parametrize("name", sorted(BAD))
@@ -48,9 +52,30 @@ def test_whatever_an_explainer_does_the_policy_and_the_random_state_stay() -> No
     assert torch.equal(first, run_explainer(vandal, policy, observations, 9))
 
 
+def test_global_state_of_other_libraries_is_seeded_and_put_back() -> None:
+    drawn: list[float] = []
+
+    def explain(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+        GraphMaskExplainer(num_layers=1, node_feat_size=77.0, EPS=0.5)  # PyG keeps these on the class
+        drawn.append(random.random() + np.random.random() + float(torch.rand(1)))  # noqa: NPY002
+        return torch.ones(2, 3, 3)
+
+    random.seed(1)
+    np.random.seed(1)  # noqa: NPY002
+    states = random.getstate(), np.random.get_state()[1].tolist(), torch.get_rng_state()  # type: ignore[union-attr]  # noqa: NPY002
+    settings = dict(GraphMaskExplainer.coeffs)
+    for _ in range(2):
+        run_explainer(Explainer("globals", explain), small_policy(6), random_observations(2, 3, 6), 5)
+    assert drawn[0] == drawn[1]
+    assert random.getstate() == states[0]
+    assert np.random.get_state()[1].tolist() == states[1]  # type: ignore[union-attr]  # noqa: NPY002
+    assert torch.equal(torch.get_rng_state(), states[2])
+    assert settings == GraphMaskExplainer.coeffs
+
+
 @pytest.mark.parametrize("grad", [torch.enable_grad, torch.no_grad, torch.inference_mode])
 def test_explainers_may_differentiate_wherever_they_are_called(grad: type[torch.no_grad]) -> None:
-    def explain(policy: GraphPolicy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    def explain(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
         mask = torch.full((2, 3, 3), 0.5, requires_grad=True)
         policy.distribution(observations, mask).action.sum().backward()
         assert mask.grad is not None

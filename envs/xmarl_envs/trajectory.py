@@ -52,12 +52,13 @@ class Pushes:
 
 
 def play_env(env: Any, seed: int, max_steps: int, after_step: Callable[[], object] | None = None) -> str:
-    """One episode of a ParallelEnv under random pushes: the hash of all that `reset` and `step` return.
+    """One episode of a ParallelEnv: the hash of all that `reset` and `step` return.
 
+    The pushes are random but always the same: what differs from seed to seed is the environment's doing.
     after_step: called after the reset and after each step, between the environment's own doings.
     """
     digest = hashlib.sha256()
-    pushes = Pushes(env, seed)
+    pushes = Pushes(env, seed=0)
     feed(digest, env.reset(seed=seed))
     for _ in range(max_steps):
         if after_step is not None:
@@ -77,11 +78,12 @@ def feed(digest: Any, value: Any) -> None:
     elif isinstance(value, list | tuple):
         for part in value:
             feed(digest, part)
-    elif isinstance(value, np.ndarray | np.generic | int | float):
-        array = np.asarray(value)
-        digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    elif isinstance(value, np.ndarray | np.generic):
+        digest.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
+    elif isinstance(value, bool | int | float | str):
+        digest.update(repr(value).encode())  # exact, also for floats
     else:  # by type only: the text of an arbitrary object may hold its address
-        digest.update((value if isinstance(value, str) else type(value).__name__).encode())
+        digest.update(type(value).__name__.encode())
 
 
 def play_task(task: Task, seed: int) -> str:

@@ -12,22 +12,25 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from xmarl_bench.policy import GraphPolicy
 
 DIAGONAL = math.sqrt(0.5)
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (DIAGONAL, DIAGONAL), (DIAGONAL, -DIAGONAL))  # of position space
+OFFSET = 4.0  # m; positions plus this are positive, which relu leaves as they are
 
 
 @torch.no_grad()
 def attend_by_distance(policy: GraphPolicy, sharpness: float) -> None:
     """Set 8 of the layer's rows so that a neighbour at r metres scores about 1.9 * sharpness * r below self.
 
-    Takes a policy with an identity encoder whose observations begin with the position (x, y).
+    Takes a policy whose observations begin with the position (x, y). An encoder of relu layers is given two
+    channels that pass the position on.
     """
+    _pass_position_on(policy)
     gat = policy.gat
-    rows = torch.zeros(2 * len(DIRECTIONS), policy.architecture.obs_dim)
+    rows = torch.zeros(2 * len(DIRECTIONS), gat.in_channels)
     rows[:, :2] = Tensor([sign * x for direction in DIRECTIONS for sign in (1, -1) for x in direction]).view(
         -1, 2
     )
@@ -35,3 +38,11 @@ def attend_by_distance(policy: GraphPolicy, sharpness: float) -> None:
     gat.lin_l.weight[:n], gat.lin_r.weight[:n] = rows, -rows
     gat.lin_l.bias[:n] = gat.lin_r.bias[:n] = 0.0
     gat.att[..., :n] = -sharpness
+
+
+def _pass_position_on(policy: GraphPolicy) -> None:
+    """Channels 0 and 1 of a relu encoder become x + OFFSET and y + OFFSET."""
+    layers = [layer for layer in policy.encoder if isinstance(layer, nn.Linear)]
+    for depth, layer in enumerate(layers):
+        layer.weight[:2] = torch.eye(2, layer.in_features)
+        layer.bias[:2] = OFFSET if depth == 0 else 0.0

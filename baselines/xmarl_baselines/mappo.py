@@ -53,6 +53,8 @@ class MAPPO(PPO):
         attention_entropy: lambda, the weight of the mean attention entropy (nats) in the loss; 0 is none.
         attention_ramp: fraction of training over which lambda grows linearly from 0.
         attention_start: fraction of training before which lambda is 0.
+        noise_penalty: weight of the exploration noise above LITTLE_NOISE in the loss.
+        critic_first: fraction of training in which only the critic learns (after a warm start of the actor).
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"TeamPolicy": TeamPolicy}
@@ -65,11 +67,15 @@ class MAPPO(PPO):
         attention_entropy: float = 0.0,
         attention_ramp: float = 0.0,
         attention_start: float = 0.0,
+        noise_penalty: float = 0.0,
+        critic_first: float = 0.0,
         **kwargs: Any,
     ) -> None:
         self.attention_entropy = attention_entropy
         self.attention_ramp = attention_ramp
         self.attention_start = attention_start
+        self.noise_penalty = noise_penalty
+        self.critic_first = critic_first
         kwargs.setdefault("rollout_buffer_class", TeamRolloutBuffer)
         super().__init__(*args, **kwargs)
 
@@ -113,12 +119,15 @@ class MAPPO(PPO):
         )
         policy_loss = -surrogate.mean()
         value_loss = F.smooth_l1_loss(policy.predict_values(samples.observations), samples.returns)
-        loss = (
-            policy_loss
-            + self.vf_coef * value_loss
-            - self.ent_coef * evaluation.entropy
-            + self.attention_weight() * evaluation.attention_entropy
-        )
+        loss = self.vf_coef * value_loss
+        if self.critic_first <= 1.0 - self._current_progress_remaining:
+            loss = (
+                loss
+                + policy_loss
+                - self.ent_coef * evaluation.entropy
+                + self.noise_penalty * evaluation.noise
+                + self.attention_weight() * evaluation.attention_entropy
+            )
         policy.optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(policy.actor.parameters(), self.max_grad_norm)
@@ -128,6 +137,7 @@ class MAPPO(PPO):
             "policy_loss": policy_loss.item(),
             "value_loss": value_loss.item(),
             "entropy": evaluation.entropy.item(),
+            "noise": evaluation.noise.item(),
             "attention_entropy": evaluation.attention_entropy.item(),
             "approx_kl": (ratio - 1.0 - log_ratio).mean().item(),
             "clip_fraction": ((ratio - 1.0).abs() > clip).float().mean().item(),

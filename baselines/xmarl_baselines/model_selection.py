@@ -1,12 +1,12 @@
 """Keeps the best policy of a run, by deterministic episodes that neither training nor scoring plays.
 
 The deterministic policy is not what PPO improves, and it does not improve steadily: agents that part by
-chance while exploring can wait for each other for ever without it.
+chance while exploring can wait for each other for ever without it. Every policy looked at is kept, so that
+explanations can be studied along training (Kailas et al., ICML 2025, appendix on training iterations).
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,8 @@ from xmarl_bench.request import Cell, Sampling
 from xmarl_bench.rollout import roll_out
 
 VALIDATION = Sampling(episodes=100, seed=1_000)  # scoring plays seed 0 unless told otherwise
-MEASURES = ("success_rate", "no_agent_collision", "makespan")
+MEASURES = ("success_rate", "no_agent_collision", "no_object_collision", "makespan")
+Record = dict[str, Any]  # frames, and the measures at that frame
 
 
 def plain_actor(model: MAPPO) -> GraphPolicy:
@@ -32,33 +33,55 @@ def plain_actor(model: MAPPO) -> GraphPolicy:
     return actor.eval()
 
 
-class ModelSelection(BaseCallback):
-    """Every `every` frames, play the validation episodes and keep the policy if none was better.
+def worth(record: Record, enough_success: float, care: float) -> tuple[float, float]:
+    """What makes one policy better than another: success up to `enough_success` plus `care` times the mean
+    collision-free rate; then the shorter makespan. Rates a task does not have are None and do not count."""
+    free = [
+        record[name] for name in ("no_agent_collision", "no_object_collision") if record[name] is not None
+    ]
+    return min(record["success_rate"], enough_success) + care * float(np.mean(free)), -record["makespan"]
 
-    Better is: more successful, up to `enough` success; from there on, fewer episodes with a collision.
-    Policies from before frame `after` are not looked at (the attention-entropy term was not whole yet).
-    `folder` holds best.safetensors and best.json, which outlive an interruption.
+
+class ModelSelection(BaseCallback):
+    """Plays the validation episodes every `every` frames, and keeps weights and figures; after a warm start
+    at frame 0 too.
+
+    `folder` holds curve.json, one record per look, and validated/FRAMES.safetensors; both outlive an
+    interruption. `best` does not choose among policies from before frame `after` (the attention-entropy term
+    was not whole yet) if there are later ones.
     """
 
-    def __init__(self, folder: Path, cell: Cell, every: int, after: float, enough: float) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        cell: Cell,
+        *,
+        every: int,
+        after: float,
+        enough_success: float,
+        care: float,
+        warm_start: bool = False,
+    ) -> None:
         super().__init__()
-        self._weights, self._record = folder / "best.safetensors", folder / "best.json"
-        self._cell, self._every, self._after, self._enough = cell, every, after, enough
+        self._folder, self._cell, self._every, self._after = folder, cell, every, after
+        self._enough_success, self._care, self._warm_start = enough_success, care, warm_start
         self._last = 0
 
     def _on_training_start(self) -> None:
         self._last = self.num_timesteps
+        if self._warm_start and not self.curve():
+            self.validate()  # it may be better than what becomes of it
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_start(self) -> None:
-        if self.num_timesteps - self._last >= self._every and self.num_timesteps >= self._after:
+        if self.num_timesteps - self._last >= self._every:
             self._last = self.num_timesteps
             self.validate()
 
     def validate(self) -> None:
-        """Measure the present policy; keep it if it is the best so far."""
+        """Measure the present policy and keep it."""
         assert isinstance(self.model, MAPPO)
         policy = plain_actor(self.model)
         episodes = roll_out(
@@ -68,24 +91,35 @@ class ModelSelection(BaseCallback):
             max_cycles=VALIDATION.max_cycles,
             parallel_episodes=VALIDATION.episodes,
         )
-        seen = {name: float(np.mean([getattr(episode, name) for episode in episodes])) for name in MEASURES}
-        for name, value in seen.items():
-            self.logger.record(f"validation/{name}", value)
-        best = json.loads(self._record.read_text()) if self._record.exists() else None
-        if best is not None and self._rank(seen) <= self._rank(best):
-            return
-        weights = save(policy.state_dict())
-        write_atomically(self._weights, weights)
-        digest = hashlib.sha256(weights).hexdigest()
-        write_json(self._record, {"frames": self.num_timesteps, "weights_sha256": digest, **seen})
+        record: Record = {"frames": self.num_timesteps}
+        for name in MEASURES:
+            record[name] = float(np.mean([getattr(episode, name) for episode in episodes]))
+            self.logger.record(f"validation/{name}", record[name])
+        if not self._cell.make().n_walls:
+            record["no_object_collision"] = None
+        (self._folder / "validated").mkdir(parents=True, exist_ok=True)
+        write_atomically(self._weights(record), save(policy.state_dict()))
+        earlier = [row for row in self.curve() if row["frames"] < self.num_timesteps]
+        write_json(self._folder / "curve.json", [*earlier, record])
 
-    def best(self) -> tuple[GraphPolicy, dict[str, Any]]:
-        """The policy kept, and the record of its validation."""
+    def curve(self) -> list[Record]:
+        """The records so far, in order of frames."""
+        path = self._folder / "curve.json"
+        records: list[Record] = json.loads(path.read_text()) if path.exists() else []
+        return records
+
+    def best(self) -> tuple[GraphPolicy, Record]:
+        """The best policy kept, and its record."""
+        curve = self.curve()
+        late = [record for record in curve if record["frames"] >= self._after] or curve[-1:]
+        record = max(late, key=lambda row: worth(row, self._enough_success, self._care))
+        return self.policy_at(record), record
+
+    def policy_at(self, record: Record) -> GraphPolicy:
         assert isinstance(self.model, MAPPO)
         policy = plain_actor(self.model)
-        policy.load_state_dict(load_file(self._weights))
-        record: dict[str, Any] = json.loads(self._record.read_text())
-        return policy, record
+        policy.load_state_dict(load_file(self._weights(record)))
+        return policy
 
-    def _rank(self, seen: dict[str, Any]) -> tuple[float, float]:
-        return min(seen["success_rate"], self._enough), seen["no_agent_collision"]
+    def _weights(self, record: Record) -> Path:
+        return self._folder / "validated" / f"{record['frames']:010d}.safetensors"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from xmarl_baselines.imitation import Imitation
 from xmarl_baselines.shaping import Shaping
 from xmarl_bench.errors import InputError
 
@@ -28,14 +29,18 @@ class Recipe:
     clip_range: float = 0.2
     normalize_advantage: bool = True
     ent_coef: float = 1e-4
+    noise_penalty: float = 0.0  # see MAPPO
     max_grad_norm: float = 1.0
     max_cycles: int | None = None  # of training episodes; None: the task's own
     distance_attention: float = 0.0  # sharpness of attend_by_distance at the start; 0: torch's initialisation
     attention_ramp: float = 0.2  # fraction of training over which lambda grows from 0 ...
     attention_start: float = 0.3  # ... after this fraction without it
+    imitation: Imitation | None = None  # warm start of the actor; None: from its initial weights
+    critic_first: float = 0.0  # fraction of training in which only the critic learns
     shaping: Shaping = field(default_factory=Shaping)
     caution_growth: float = 1.0  # agent and proximity penalties at the end, relative to the start
-    enough_success: float = 1.0  # model selection: beyond this, fewer collisions count for more
+    enough_success: float = 1.0  # model selection: success beyond this counts no more
+    care: float = 0.0  # model selection: what the collision-free rate counts, relative to success
 
     def __post_init__(self) -> None:
         if (self.n_envs * self.n_steps) % self.batch_size:
@@ -55,6 +60,8 @@ class Recipe:
         iteration = self.n_envs * self.n_steps
         return replace(
             self,
+            imitation=None,
+            critic_first=0.0,
             frames=self.frames // 3 // iteration * iteration,
             learning_rate=self.learning_rate / 3,
             attention_start=0.0,
@@ -63,12 +70,22 @@ class Recipe:
             caution_growth=1.0,
         )
 
+    def shortened(self, frames: int) -> Recipe:
+        """The recipe with this many frames, and a warm start shortened (or prolonged) in proportion."""
+        imitation = self.imitation
+        if imitation is not None:
+            rounds = max(1, round(imitation.rounds * frames / self.frames))
+            imitation = replace(imitation, rounds=rounds)
+        return replace(self, frames=frames, imitation=imitation)
+
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 
 # Architectures: Kailas et al. (ICML 2025), section "Tasks". Hyperparameters: what was seen to learn on this
-# physics within half an hour on one core; they are not the paper's (30 epochs, gamma 0.99999).
+# physics within minutes on one core; they are not the paper's (30 epochs, gamma 0.99999). Passage and
+# discovery start from an imitation of the task's heuristic: MAPPO alone reached 0.04 of episodes without
+# collision in passage (12 M frames) and 0.84 success in discovery (10 M frames), after 20 minutes each.
 RECIPES: dict[str, Recipe] = {
     "blind_navigation_v0": Recipe(
         task="blind_navigation_v0",
@@ -104,14 +121,20 @@ RECIPES: dict[str, Recipe] = {
             "decoder": (64, 64, 64, 64), "decoder_activation": "relu",
         },
         critic=(128, 128),
-        frames=12_000_000,
+        frames=1_996_800,
         n_envs=128,
         n_steps=150,
         n_epochs=4,
         batch_size=1600,
-        learning_rate=7e-4,
-        max_cycles=150,
-        shaping=Shaping(scale=0.05, agent_penalty=3.0, wall_penalty=0.5, through_gap=True),
+        learning_rate=3e-4,
+        max_cycles=200,
+        attention_start=0.0,
+        attention_ramp=0.0,
+        imitation=Imitation(rounds=300),
+        critic_first=0.06,
+        shaping=Shaping(scale=0.05, agent_penalty=25.0, wall_penalty=6.0, through_gap=True),
+        enough_success=0.98,
+        care=0.5,
     ),
     "blind_discovery_v0": Recipe(
         task="blind_discovery_v0",
@@ -120,13 +143,17 @@ RECIPES: dict[str, Recipe] = {
             "decoder": (64, 64), "decoder_activation": "relu",
         },
         critic=(128, 128),
-        frames=10_000_000,
+        frames=1_024_000,
         n_envs=256,
         n_steps=200,
         n_epochs=4,
         batch_size=2560,
-        learning_rate=1.5e-3,
+        learning_rate=4e-4,
         gamma=0.995,
+        attention_start=0.0,
+        attention_ramp=0.0,
+        imitation=Imitation(rounds=250),
+        critic_first=0.1,
         shaping=Shaping(landmark_progress=1.0),
     ),
 }  # fmt: skip

@@ -19,6 +19,7 @@ from torch.nn import functional as F
 from xmarl_baselines.fast_layers import speed_up
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
 
+LITTLE_NOISE = 0.1  # scale of the Normal under the tanh below which noise is not punished further
 SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 cannot tell them apart beyond
 
 
@@ -27,6 +28,7 @@ class Evaluation(NamedTuple):
 
     log_prob: Tensor  # (B, N)
     entropy: Tensor  # (), nats, of the TanhNormal, one sample per action
+    noise: Tensor  # (), nats, mean of how far log(scale) is above log(LITTLE_NOISE)
     attention_entropy: Tensor  # (), nats, mean over agents and batch
 
 
@@ -91,7 +93,8 @@ class TeamPolicy(ActorCriticPolicy):
         entropy = (normal.entropy() + _log_slope(normal.rsample())).sum(dim=-1).mean()
         attention = prepared.attention
         attention_entropy = torch.special.entr(attention).sum(dim=-1).mean()
-        return Evaluation(log_prob(distribution, action), entropy, attention_entropy)
+        noise = (distribution.scale / LITTLE_NOISE).log().clamp_min(0.0).mean()
+        return Evaluation(log_prob(distribution, action), entropy, noise, attention_entropy)
 
     def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
         action: Tensor = self(observation, deterministic)[0]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from xmarl_baselines.recipes import recipe_for
+from xmarl_baselines.reference import reference_run, reference_runs
 from xmarl_baselines.trainer import Report, Run, train
 from xmarl_bench.errors import InputError
 from xmarl_bench.evaluation import Performance, evaluate_policy
@@ -24,12 +26,20 @@ from xmarl_bench.report import performance_rows, print_rows
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell
 
+EPISODES = 200  # of the evaluation at the end: its first 50 are the ones that scoring plays
+
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
 def command(
-    task: Annotated[str, typer.Option(help="blind_navigation_v0, blind_passage_v0 or blind_discovery_v0")],
+    task: Annotated[
+        str | None, typer.Option(help="blind_navigation_v0, blind_passage_v0 or blind_discovery_v0")
+    ] = None,
+    reproduce: Annotated[
+        str | None, typer.Option(help="a reference policy to train exactly as it was, or `all` of them")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="trainings side by side, with --reproduce all")] = 1,
     agents: Annotated[int, typer.Option(help="team size N")] = 3,
     attention_entropy: Annotated[
         float, typer.Option(min=0, help="lambda of the attention-entropy term")
@@ -39,25 +49,40 @@ def command(
         float, typer.Option(min=0, help="multiplies the penalties of touching and of being near")
     ] = 1.0,
     frames: Annotated[
-        int | None, typer.Option(min=1, help="team-steps; the recipe's own number by default")
+        int | None, typer.Option(min=1, help="team-steps; a warm start is shortened in proportion")
     ] = None,
     out: Annotated[Path, typer.Option(help="folder for runs; this one gets its own in it")] = Path("runs"),
     start_from: Annotated[
         Path | None, typer.Option(help="folder of a finished run to fine-tune, e.g. with a lambda it had not")
     ] = None,
     resume: Annotated[bool, typer.Option(help="go on with an interrupted run")] = False,
-    episodes: Annotated[int, typer.Option(min=1, help="episodes of the evaluation at the end")] = 50,
+    episodes: Annotated[int, typer.Option(min=1, help="episodes of the evaluation at the end")] = EPISODES,
 ) -> None:
     """Train one graph-attention policy and write it as a bundle that `xmarl-bench score --policy` takes."""
+    if (task is None) == (reproduce is None):
+        raise InputError(
+            "give either --task, to train a policy of your own, or --reproduce, a name or `all`."
+        )
+    if reproduce == "all":
+        raise typer.Exit(train_missing(out, jobs))
+    if reproduce is not None:
+        run = reference_run(reproduce)
+        _train(run, out, resume=resume, start_from=None, episodes=EPISODES)
+        return
+    assert task is not None
     Cell(task, agents)  # refuses a team that the task does not take
     recipe = recipe_for(task)
     if start_from is not None:
         _check_start(start_from, task, agents)
         recipe = recipe.fine_tuning()
     if frames is not None:
-        recipe = replace(recipe, frames=frames)
+        recipe = recipe.shortened(frames)
     start = None if start_from is None else start_from.resolve().name
     run = Run(recipe, agents, attention_entropy, seed, caution, start)
+    _train(run, out, resume=resume, start_from=start_from, episodes=episodes)
+
+
+def _train(run: Run, out: Path, *, resume: bool, start_from: Path | None, episodes: int) -> None:
     folder = out / run.name
     try:
         card = train_and_save(run, folder, resume=resume, start_from=start_from, episodes=episodes)
@@ -66,6 +91,32 @@ def command(
         raise typer.Exit(130) from None
     print_rows(performance_rows([card], [Performance(**card.performance)]))
     print(f"policy in {folder / 'policy'}: xmarl-bench score --policy {folder / 'policy'}")
+
+
+def train_missing(out: Path, jobs: int) -> int:
+    """Train the reference policies that `out` has no finished run of, each in a process; returns exit code.
+
+    Runs begun earlier are resumed. One that fails does not stop the others; its output is in `out`/NAME.log.
+    """
+    missing = [name for name in reference_runs() if not (out / name / "policy" / "policy.json").exists()]
+    out.mkdir(parents=True, exist_ok=True)
+
+    def train_one(name: str) -> int:
+        command = [sys.executable, "-m", "xmarl_baselines.train", "--reproduce", name]
+        with (out / f"{name}.log").open("a") as log:
+            return subprocess.run(
+                [*command, "--out", str(out), "--resume"], stdout=log, stderr=subprocess.STDOUT
+            ).returncode
+
+    console = Console(stderr=True)
+    failed = 0
+    with ThreadPoolExecutor(jobs) as pool:
+        futures = {pool.submit(train_one, name): name for name in missing}
+        for done, future in enumerate(as_completed(futures), start=1):
+            failed += future.result() != 0
+            outcome = "trained" if future.result() == 0 else "FAILED, see its log"
+            console.print(f"{done} of {len(missing)}: {futures[future]} {outcome}", highlight=False)
+    return 1 if failed else 0
 
 
 def _check_start(folder: Path, task: str, agents: int) -> None:
@@ -104,12 +155,22 @@ def train_and_save(
             "frames": run.recipe.frames,
             "seconds": round(trained.seconds, 1),
             "validation": trained.validation,
-            "command": f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
-            f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.frames}"
-            + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
-            + ("" if run.start_from is None else f" --start-from runs/{run.start_from}"),
+            "curve": trained.curve,
+            "command": _command(run),
         },
         performance=evaluate_policy(trained.policy, run.recipe.task, run.n_agents, episodes=episodes),
+    )
+
+
+def _command(run: Run) -> str:
+    """What trains this policy again."""
+    if reference_runs().get(run.name) == run:
+        return f"xmarl-train --reproduce {run.name}"
+    return (
+        f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
+        f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.frames}"
+        + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
+        + ("" if run.start_from is None else f" --start-from runs/{run.start_from}")
     )
 
 
@@ -128,7 +189,9 @@ def _progress(run: Run) -> Iterator[Report]:
         def report(frames: int, log: dict[str, float]) -> None:
             nonlocal last_line
             seen = f"{frames / 1e6:.1f} of {run.recipe.frames / 1e6:.1f} M frames"
-            if "rollout/is_success" in log:
+            if "imitation_error" in log:
+                seen = f"imitation, error {log['imitation_error']:.3f}"
+            elif "rollout/is_success" in log:
                 seen += f", success {log['rollout/is_success']:.2f} while exploring"
             progress.update(bar, completed=frames, seen=seen)
             if not console.is_terminal and time.monotonic() - last_line > 60:

@@ -3,7 +3,8 @@
     RUN/settings.json        what is trained; a run is resumed only with the same settings
     RUN/checkpoint.zip       SB3's zip of weights and optimiser
     RUN/progress.json        frames and seconds so far
-    RUN/best.safetensors     the best policy so far, with best.json: how it did on the validation episodes
+    RUN/curve.json           how the policy did on the validation episodes along training
+    RUN/validated/           its weights at these moments, of which the best become the bundle
     RUN/tensorboard/         SB3's log
     RUN/policy/              the finished bundle (policy.safetensors, policy.json)
 
@@ -24,8 +25,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from xmarl_envs import make_task
 
 from xmarl_baselines.distance_attention import attend_by_distance
+from xmarl_baselines.imitation import imitate
 from xmarl_baselines.mappo import MAPPO
-from xmarl_baselines.model_selection import ModelSelection
+from xmarl_baselines.model_selection import ModelSelection, Record
 from xmarl_baselines.recipes import Recipe
 from xmarl_baselines.team_vec_env import TeamVecEnv
 from xmarl_bench.errors import InputError
@@ -55,6 +57,12 @@ class Run:
         caution = "" if self.caution == 1.0 else f"-caution{self.caution:g}"
         return f"{short}-n{self.n_agents}-lambda{self.attention_entropy:g}{caution}-seed{self.seed}"
 
+    @property
+    def regularised_from(self) -> float:
+        """Frames after which lambda is whole."""
+        ramp = self.recipe.attention_start + self.recipe.attention_ramp
+        return ramp * self.recipe.frames if self.attention_entropy else 0.0
+
     def settings(self) -> dict[str, Any]:
         """As plain JSON, for settings.json and the policy's card."""
         settings: dict[str, Any] = json.loads(
@@ -78,7 +86,8 @@ class Trained:
 
     policy: GraphPolicy
     seconds: float
-    validation: dict[str, Any]  # of that policy, see model_selection
+    validation: Record  # of that policy
+    curve: list[Record]  # of all that were looked at
 
 
 def train(
@@ -96,9 +105,10 @@ def train(
     checkpoint_every: iterations between checkpoints. Raises InputError where `folder` holds another run, or
     one that was begun and `resume` is not set.
     """
-    frames, seconds = _begin(run, folder, resume)
+    done = _begin(run, folder, resume)
+    frames, seconds = done or (0, 0.0)
     model = build(run, seed=run.seed + frames, tensorboard=folder / "tensorboard")
-    if frames:
+    if done is not None:
         model.set_parameters(str(folder / "checkpoint.zip"), device="cpu")
         model.num_timesteps = frames
     elif start_from is not None:
@@ -108,12 +118,23 @@ def train(
         folder,
         cell,
         every=run.recipe.frames // VALIDATIONS,
-        after=(model.attention_start + model.attention_ramp) * run.recipe.frames
-        if run.attention_entropy
-        else 0,
-        enough=run.recipe.enough_success,
+        after=run.regularised_from,
+        enough_success=run.recipe.enough_success,
+        care=run.recipe.care,
+        warm_start=run.recipe.imitation is not None or start_from is not None,
     )
     keeper = _Keeper(folder, checkpoint_every, seconds, report)
+    if run.recipe.imitation is not None and done is None and start_from is None:
+        imitate(
+            model.policy.actor,
+            make_task(run.recipe.task, run.n_agents),
+            run.recipe.imitation,
+            seed=run.seed,
+            attention_entropy=run.attention_entropy,
+            report=None if report is None else lambda _, log: report(0, log),
+        )
+        keeper.init_callback(model)
+        keeper.save()
     if frames < run.recipe.frames:
         model.learn(
             run.recipe.frames - frames,
@@ -127,7 +148,7 @@ def train(
     else:
         selection.init_callback(model)
     policy, validation = selection.best()
-    return Trained(policy, seconds, validation)
+    return Trained(policy, seconds, validation, selection.curve())
 
 
 def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
@@ -153,6 +174,8 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
         attention_entropy=run.attention_entropy,
         attention_ramp=recipe.attention_ramp,
         attention_start=recipe.attention_start,
+        noise_penalty=recipe.noise_penalty,
+        critic_first=recipe.critic_first,
         policy_kwargs={"architecture": recipe.architecture, "critic": recipe.critic},
         tensorboard_log=None if tensorboard is None else str(tensorboard),
         device="cpu",
@@ -163,18 +186,18 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
     return model
 
 
-def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float]:
-    """Frames and seconds done so far in `folder`; writes the settings of a new run."""
+def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
+    """Frames and seconds at the last checkpoint in `folder`, if there is one; writes a new run's settings."""
     settings, progress = folder / "settings.json", folder / "progress.json"
     if not settings.exists():
         write_json(settings, run.settings())
-        return 0, 0.0
+        return None
     if json.loads(settings.read_text()) != run.settings():
         raise InputError(f"{folder} holds a run with other settings: choose another --out, or remove it.")
     if not resume:
         raise InputError(f"{folder} holds this run already: add --resume to go on with it, or remove it.")
     if not progress.exists():
-        return 0, 0.0
+        return None
     done = json.loads(progress.read_text())
     return int(done["frames"]), float(done["seconds"])
 

@@ -7,8 +7,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from xmarl_baselines.recipes import RECIPES
+from xmarl_baselines.reference import SEEDS, SIZES, reference_runs
+from xmarl_baselines.train import main, train_missing
 
+from tests.baselines.test_training import short_validation, small
 from xmarl_bench.policy import load_policy
+
+__all__ = ["short_validation"]  # a fixture, for every test here
 
 
 def xmarl_train(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -16,24 +22,35 @@ def xmarl_train(folder: Path, *arguments: str) -> subprocess.CompletedProcess[st
     return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 
-def test_a_run_ends_with_a_policy_that_loads(tmp_path: Path) -> None:
-    tiny = ("--task", "blind_discovery_v0", "--frames", "1", "--episodes", "1")
-    done = xmarl_train(tmp_path, *tiny)
-    assert done.returncode == 0, done.stderr
+def test_a_run_ends_with_a_policy_that_loads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("xmarl_baselines.train.recipe_for", lambda task: small(task, frames=160))
+    monkeypatch.setattr("sys.argv", ["xmarl-train", "--out", str(tmp_path), "--episodes", "1"])
+    sys.argv += ["--task", "blind_discovery_v0", "--frames", "320"]
+    with pytest.raises(SystemExit) as done:
+        main()
+    assert done.value.code == 0
     _, card = load_policy(tmp_path / "discovery-n3-lambda0-seed0" / "policy")
     assert card.name == "discovery-n3-lambda0-seed0"
     assert card.training["command"].startswith("xmarl-train --task blind_discovery_v0 --agents 3")
     assert str(tmp_path) not in card.training["command"]
+    assert card.training["frames"] == card.training["curve"][-1]["frames"] == 320
     assert card.performance["episodes"] == 1
-    assert "xmarl-bench score --policy" in done.stdout
-    again = xmarl_train(tmp_path, *tiny)
-    assert (again.returncode, again.stderr.count("\n")) == (2, 1)
-    assert "--resume" in again.stderr
+    assert "xmarl-bench score --policy" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as again:
+        main()
+    said = capsys.readouterr().err
+    assert (again.value.code, said.count("\n")) == (2, 1)
+    assert "--resume" in said
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
+        ((), "either --task"),
+        (("--task", "blind_passage_v0", "--reproduce", "all"), "either --task"),
+        (("--reproduce", "nothing"), "choose one of"),
         (("--task", "chess"), "choose one of"),
         (("--task", "blind_passage_v0", "--agents", "6"), "1 to 5 agents"),
         (("--task", "blind_passage_v0", "--start-from", "nowhere"), "checkpoint"),
@@ -47,3 +64,28 @@ def test_bad_input_is_refused(tmp_path: Path, arguments: tuple[str, ...], said: 
     assert said in refused.stderr
     assert "Traceback" not in refused.stderr
     assert not (tmp_path / "runs").exists()
+
+
+def test_reference_runs_have_the_names_of_their_settings() -> None:
+    runs = reference_runs()
+    assert len(runs) == len(RECIPES) * len(SIZES) * len(SEEDS) * 2
+    assert all(run.name == name for name, run in runs.items())
+    first = list(runs.values())[: len(RECIPES) * len(SIZES) * 2]
+    assert {run.seed for run in first} == {SEEDS[0]}
+
+
+def test_reproduce_all_trains_what_is_missing_and_says_what_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    names = ["discovery-n3-lambda0-seed0", "passage-n3-lambda0-seed0"]
+    monkeypatch.setattr("xmarl_baselines.train.reference_runs", lambda: dict.fromkeys(["a", *names]))
+    for name in names:  # one is finished, one holds another run
+        (tmp_path / name / "policy").mkdir(parents=True)
+    (tmp_path / names[0] / "policy" / "policy.json").write_text("{}")
+    (tmp_path / names[1] / "settings.json").write_text("{}")
+    assert train_missing(tmp_path, jobs=2) == 1
+    said = capfd.readouterr().err
+    assert "2 of 2" in said and names[0] not in said
+    assert f"{names[1]} FAILED" in said
+    assert "other settings" in (tmp_path / f"{names[1]}.log").read_text()
+    assert "no reference policy is called 'a'" in (tmp_path / "a.log").read_text()

@@ -14,7 +14,7 @@ from torch.distributions.transforms import TanhTransform
 from xmarl_baselines.distance_attention import attend_by_distance
 from xmarl_baselines.fast_layers import speed_up
 from xmarl_baselines.mappo import MAPPO
-from xmarl_baselines.model_selection import VALIDATION, ModelSelection, plain_actor
+from xmarl_baselines.model_selection import VALIDATION, ModelSelection, Record, plain_actor, worth
 from xmarl_baselines.recipes import RECIPES, Recipe, recipe_for
 from xmarl_baselines.shaping import Shaping, distance_through_gap, training_reward
 from xmarl_baselines.team_policy import log_prob
@@ -23,7 +23,6 @@ from xmarl_baselines.trainer import Run, build, train
 from xmarl_envs import TASKS, BlindPassage, State, VectorEnv, make_task
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.files import write_json
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
 from xmarl_bench.request import Cell, Sampling
 
@@ -250,28 +249,49 @@ def test_attention_by_distance_prefers_self_then_the_nearest() -> None:
     assert float(row[1] / row[0]) == pytest.approx(np.exp(-2.5 * 0.8 * 0.3 * (1 + np.sqrt(2))), rel=0.3)
 
 
-def test_model_selection_wants_success_first_then_fewer_collisions(tmp_path: Path) -> None:
-    selection = ModelSelection(tmp_path, Cell("blind_navigation_v0", 3), every=1, after=0, enough=0.9)
-    seen = [(0.7, 1.0), (0.95, 0.2), (0.91, 0.6), (0.97, 0.5), (0.89, 0.9)]
-    best = max(
-        seen,
-        key=lambda row: selection._rank(dict(zip(("success_rate", "no_agent_collision"), row, strict=True))),
-    )
-    assert best == (0.91, 0.6)
+def test_model_selection_weighs_success_collisions_and_makespan() -> None:
+    def record(success: float, agents: float, objects: float | None = None, makespan: float = 50.0) -> Record:
+        return {
+            "frames": 0,
+            "success_rate": success,
+            "no_agent_collision": agents,
+            "no_object_collision": objects,
+            "makespan": makespan,
+        }
+
+    def best(*records: Record, enough: float = 0.9, care: float = 0.5) -> Record:
+        return max(records, key=lambda row: worth(row, enough, care))
+
+    assert best(record(0.95, 0.2), record(0.91, 0.6)) == record(0.91, 0.6)
+    assert best(record(0.8, 0.3), record(0.7, 0.4)) == record(0.8, 0.3)
+    assert best(record(0.9, 0.5, 0.1), record(0.9, 0.2, 0.5)) == record(0.9, 0.2, 0.5)
+    assert best(record(0.95, 0.2, makespan=40.0), record(0.99, 0.2)) == record(0.95, 0.2, makespan=40.0)
+    assert best(record(0.8, 0.9), record(0.81, 0.0), care=0.0) == record(0.81, 0.0)
 
 
-def test_model_selection_keeps_the_best_and_plays_no_episode_of_scoring(tmp_path: Path) -> None:
+def test_model_selection_keeps_every_look_and_plays_no_episode_of_scoring(tmp_path: Path) -> None:
     assert not set(VALIDATION.seeds) & set(Sampling(episodes=50).seeds)
     model = build(Run(small()), seed=0)
-    selection = ModelSelection(tmp_path, Cell("blind_navigation_v0", 3), every=160, after=320, enough=1.0)
+    selection = ModelSelection(
+        tmp_path,
+        Cell("blind_navigation_v0", 3),
+        every=160,
+        after=320,
+        enough_success=1.0,
+        care=0.0,
+        warm_start=True,
+    )
     model.learn(640, callback=selection)
-    _, record = selection.best()
-    assert record["frames"] in (320, 480)  # neither before `after` nor, without `validate`, at the end
-    kept = (tmp_path / "best.safetensors").read_bytes()
-    record["success_rate"] = 2.0  # better than any policy can be
-    write_json(tmp_path / "best.json", record)
     selection.validate()
-    assert (tmp_path / "best.safetensors").read_bytes() == kept
+    curve = selection.curve()
+    assert [row["frames"] for row in curve] == [0, 160, 320, 480, 640]
+    assert curve == json.loads((tmp_path / "curve.json").read_text())
+    assert curve[0]["no_object_collision"] is None
+    policy, record = selection.best()
+    assert record["frames"] >= 320
+    last = selection.policy_at(curve[-1]).state_dict()
+    assert all(torch.equal(last[name], tensor) for name, tensor in plain_actor(model).state_dict().items())
+    assert record == curve[-1] or any(not torch.equal(last[k], v) for k, v in policy.state_dict().items())
 
 
 def test_caution_grows_over_the_run(tmp_path: Path) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from xmarl_envs.task import Floats, Task
-from xmarl_envs.world import SUBSTEPS, TIME_STEP, VELOCITY_KEPT
+from xmarl_envs.world import TIME_STEP, VELOCITY_KEPT
 
 REACTION = 1.0  # 1/s; how fast a gap to somebody who goes first may be used up
 
 # N per m/s: what it takes to keep a velocity against the drag, and to correct one. The correction is soft:
 # a stiff one gains nothing in success or safety, and learners find it harder to imitate.
-HOLD = (1.0 - VELOCITY_KEPT ** (1.0 / SUBSTEPS)) * SUBSTEPS / TIME_STEP
+HOLD = (1.0 - VELOCITY_KEPT**0.5) * 2 / TIME_STEP  # two substeps
 CORRECT = 2.0
 
 

@@ -1,0 +1,116 @@
+"""Imitation of the heuristics: it learns, repeats, and the actor afterwards explores as told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from xmarl_baselines.imitation import Imitation, imitate
+from xmarl_baselines.recipes import RECIPES
+from xmarl_baselines.trainer import Run, build, train
+from xmarl_envs import TASKS, make_task
+
+from tests.baselines.test_training import short_validation, small
+from xmarl_bench.policy import Architecture, GraphPolicy
+
+__all__ = ["short_validation"]  # a fixture, for every test here
+TINY = Imitation(rounds=6, n_envs=20, updates=10, batch_size=100)
+
+
+def actor_of(task: str, seed: int = 0) -> GraphPolicy:
+    torch.manual_seed(seed)
+    record = {**RECIPES[task].architecture, "obs_dim": make_task(task).obs_dim}
+    return GraphPolicy(Architecture.model_validate(record))
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_error_falls_and_the_scale_is_reached(task: str) -> None:
+    errors: list[float] = []
+    actor = actor_of(task)
+    shown_all_along = 1e9  # the heuristic never hands over, so that all rounds see states of one kind
+    how = Imitation(rounds=25, n_envs=20, updates=20, batch_size=200, guided=shown_all_along)
+    imitate(actor, make_task(task), how, seed=0, report=lambda _, log: errors.append(log["imitation_error"]))
+    assert len(errors) == 25
+    assert errors[-1] < 0.8 * errors[0]
+    with torch.no_grad():
+        scale = actor.distribution(0.5 * torch.randn(50, 3, make_task(task).obs_dim)).scale
+    assert 0.1 < float(scale.median()) < 0.7  # 1.0 before
+
+
+def test_the_same_seed_teaches_the_same_and_another_does_not() -> None:
+    def weights(seed: int) -> torch.Tensor:
+        actor = actor_of("blind_discovery_v0")
+        imitate(actor, make_task("blind_discovery_v0"), TINY, seed=seed)
+        return torch.cat([parameter.detach().flatten() for parameter in actor.parameters()])
+
+    before = torch.get_rng_state()
+    first = weights(0)
+    torch.manual_seed(99)
+    assert torch.equal(first, weights(0))
+    assert not torch.equal(first, weights(1))
+    torch.set_rng_state(before)
+
+
+def test_attention_entropy_is_part_of_the_loss() -> None:
+    def entropy(lam: float) -> float:
+        seen: list[float] = []
+        actor = actor_of("blind_discovery_v0")
+        imitate(
+            actor,
+            make_task("blind_discovery_v0"),
+            TINY,
+            seed=0,
+            attention_entropy=lam,
+            report=lambda _, log: seen.append(log["attention_entropy"]),
+        )
+        return seen[-1]
+
+    assert entropy(5.0) < 0.85 * entropy(0.0)
+
+
+def test_a_run_imitates_first_and_is_not_taught_twice(tmp_path: Path) -> None:
+    run = Run(small(imitation=TINY, learning_rate=0.0))
+    reports: list[int] = []
+
+    def stop(frames: int, _: dict[str, float]) -> None:
+        reports.append(frames)
+        if frames:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(run, tmp_path / "run", report=stop)
+    assert reports[:6] == [0] * 6
+    reports.clear()
+    resumed = train(run, tmp_path / "run", resume=True, report=lambda frames, _: reports.append(frames))
+    assert reports.count(0) == 1  # where MAPPO begins
+    taught = build(run, seed=run.seed).policy.actor
+    imitate(taught, make_task(run.recipe.task, 3), TINY, seed=run.seed)
+    for name, tensor in resumed.policy.state_dict().items():  # MAPPO learned nothing at a rate of 0
+        assert torch.equal(tensor, taught.state_dict()[name]), name
+
+
+def test_only_the_critic_learns_at_first() -> None:
+    model = build(Run(small(critic_first=0.5)), seed=0)
+    actor = {name: tensor.clone() for name, tensor in model.policy.actor.state_dict().items()}
+    critic = {name: tensor.clone() for name, tensor in model.policy.critic.state_dict().items()}
+
+    def changed(before: dict[str, torch.Tensor], module: torch.nn.Module) -> bool:
+        return any(not torch.equal(before[name], tensor) for name, tensor in module.state_dict().items())
+
+    class StopError(Exception):
+        pass
+
+    def at(frames: int) -> None:
+        def callback(*_: object) -> bool:
+            if model.num_timesteps >= frames:
+                raise StopError
+            return True
+
+        with pytest.raises(StopError):
+            model.learn(640, callback=callback)
+
+    at(320)
+    assert changed(critic, model.policy.critic) and not changed(actor, model.policy.actor)
+    model.learn(640)
+    assert changed(actor, model.policy.actor)

@@ -17,6 +17,7 @@ from torch import Tensor
 from xmarl_envs import Task, VectorEnv
 from xmarl_envs.heuristics import heuristic
 
+from xmarl_baselines.team_policy import mean_attention_entropy
 from xmarl_bench.policy import GraphPolicy
 
 ROUND = 25  # team-steps of every team between two rounds of gradient steps
@@ -77,7 +78,7 @@ def _update(
     distribution = actor.decode(prepared)
     error = (torch.tanh(distribution.loc) - shown).square().mean()
     spread = (distribution.scale.log() - np.log(scale)).square().mean()
-    entropy = torch.special.entr(prepared.attention).sum(dim=-1).mean()
+    entropy = mean_attention_entropy(prepared.attention)
     optimizer.zero_grad()
     (error + 0.01 * spread + attention_entropy * entropy).backward()
     torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)

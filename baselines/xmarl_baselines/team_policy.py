@@ -91,10 +91,9 @@ class TeamPolicy(ActorCriticPolicy):
         # Differential entropy of the TanhNormal: the Normal's plus the mean log-slope of tanh. It has
         # no lower bound: with a bonus of -0.06 on it a policy was seen to saturate its actions and no more.
         entropy = (normal.entropy() + _log_slope(normal.rsample())).sum(dim=-1).mean()
-        attention = prepared.attention
-        attention_entropy = torch.special.entr(attention).sum(dim=-1).mean()
         noise = (distribution.scale / LITTLE_NOISE).log().clamp_min(0.0).mean()
-        return Evaluation(log_prob(distribution, action), entropy, noise, attention_entropy)
+        attention = mean_attention_entropy(prepared.attention)
+        return Evaluation(log_prob(distribution, action), entropy, noise, attention)
 
     def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
         action: Tensor = self(observation, deterministic)[0]
@@ -108,6 +107,11 @@ class TeamPolicy(ActorCriticPolicy):
         with torch.no_grad():
             action = self._predict(obs if obs.ndim == 3 else obs[None], deterministic)
         return (action if obs.ndim == 3 else action[0]).cpu().numpy(), state
+
+
+def mean_attention_entropy(attention: Tensor) -> Tensor:
+    """(..., N, N) rows that sum to 1 -> (): mean entropy of a row in nats, with a finite gradient at 0."""
+    return torch.special.entr(attention.clamp_min(1e-20)).sum(dim=-1).mean()
 
 
 def log_prob(distribution: ActionDistribution, action: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ import pytest
 import torch
 from xmarl_baselines.imitation import Imitation, imitate
 from xmarl_baselines.recipes import RECIPES
+from xmarl_baselines.team_policy import mean_attention_entropy
 from xmarl_baselines.trainer import Run, build, train
 from xmarl_envs import TASKS, make_task
 
@@ -67,6 +68,14 @@ def test_attention_entropy_is_part_of_the_loss() -> None:
         return seen[-1]
 
     assert entropy(5.0) < 0.85 * entropy(0.0)
+
+
+def test_attention_that_vanishes_has_a_finite_gradient() -> None:
+    score = torch.tensor([[0.0, -200.0]], requires_grad=True)
+    mean_attention_entropy(torch.softmax(score, dim=-1)).backward()
+    assert score.grad is not None and torch.isfinite(score.grad).all()
+    even = mean_attention_entropy(torch.full((2, 3, 3), 1 / 3))
+    torch.testing.assert_close(even, torch.tensor(3.0).log())
 
 
 def test_a_run_imitates_first_and_is_not_taught_twice(tmp_path: Path) -> None:

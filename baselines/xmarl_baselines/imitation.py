@@ -3,7 +3,8 @@
 DAgger (Ross, Gordon and Bagnell, AISTATS 2011): teams are driven by the heuristic at first, by the actor more
 and more, and the heuristic says at every state what it would have done. It may see everything; the actor sees
 the team's observations through its graph layer, so it learns as much of the heuristic as these can tell.
-The loss is the squared difference of actions plus lambda times the attention entropy, as in training.
+The loss is the squared difference of actions plus, as in training, a multiple of the attention
+entropy.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ class Imitation:
     learning_rate: float = 1e-3  # falls linearly to a twentieth
     memory: int = 300_000  # team-steps; the oldest are forgotten
     guided: float = 0.33  # fraction of the rounds over which the heuristic hands over to the actor
+    attention_scale: float = 10.0  # lambda is multiplied by this: the loss is of another size than PPO's
+    attention_start: float = 0.3  # fraction of the rounds without the attention-entropy term; lambda then ...
+    attention_ramp: float = 0.4  # ... grows from 0 over this fraction: at once it would silence the team
     noise: float = 0.15  # standard deviation added to the actions of half of the teams at each step
     scale: float = 0.3  # of the actor's action distribution at the end: how much it explores afterwards
 
@@ -58,8 +62,10 @@ def imitate(
         teams.play(actor, guided=max(0.0, 1.0 - done / (how.guided * how.rounds)))
         for group in optimizer.param_groups:
             group["lr"] = how.learning_rate * max(0.05, 1.0 - done / how.rounds)
+        ramp = (done / how.rounds - how.attention_start) / how.attention_ramp
+        weight = attention_entropy * how.attention_scale * min(1.0, max(0.0, ramp))
         measured = [
-            _update(actor, optimizer, *teams.sample(how.batch_size), how.scale, attention_entropy)
+            _update(actor, optimizer, *teams.sample(how.batch_size), how.scale, weight)
             for _ in range(how.updates)
         ]
         if report is not None:

@@ -12,7 +12,7 @@ from xmarl_bench.errors import InputError
 SIZES = (3, 4, 5)
 SEEDS = (0, 1, 2)
 # lambda of the attention-entropy term: see baselines/README.md for what other values do.
-LAMBDAS = {"blind_navigation_v0": 0.2, "blind_passage_v0": 0.03, "blind_discovery_v0": 0.03}
+LAMBDAS = {"blind_navigation_v0": 0.2, "blind_passage_v0": 0.05, "blind_discovery_v0": 0.05}
 
 
 def reference_runs() -> dict[str, Run]:

@@ -111,7 +111,8 @@ class TeamPolicy(ActorCriticPolicy):
 
 def mean_attention_entropy(attention: Tensor) -> Tensor:
     """(..., N, N) rows that sum to 1 -> (): mean entropy of a row in nats, with a finite gradient at 0."""
-    return torch.special.entr(attention.clamp_min(1e-20)).sum(dim=-1).mean()
+    entropy: Tensor = torch.special.entr(attention.clamp_min(1e-20)).sum(dim=-1).mean()
+    return entropy
 
 
 def log_prob(distribution: ActionDistribution, action: Tensor) -> Tensor:

@@ -1,0 +1,105 @@
+"""The control without communication: independent PPO straight from the ecosystem.
+
+SuperSuit turns the PettingZoo environment into a vector of agents, stable-baselines3's PPO with its default
+MLP policy and hyperparameters trains one network that every agent runs on its own observation (de Witt et al.
+2020, "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?"). What it does not reach
+is what blindness costs.
+
+    python -m xmarl_baselines.independent_ppo --task blind_discovery_v0
+
+writes baselines/xmarl_baselines/controls/TASK.json, which the table of baselines/README.md shows.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import torch
+import typer
+from stable_baselines3 import PPO
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import Tensor
+from xmarl_envs import TaskParallelEnv, make_task
+from xmarl_envs.sb3_vec_env import SuperSuitVecEnv
+
+from xmarl_bench.evaluation import evaluate_policy
+from xmarl_bench.files import write_json
+from xmarl_bench.policy import ActionDistribution, Policy
+from xmarl_bench.reproducible import one_thread
+
+CONTROLS = Path(__file__).parent / "controls"
+COPIES = 32  # teams side by side
+EPISODES = 200  # as the reference policies are measured
+
+
+class IndependentPolicy(Policy):
+    """An SB3 actor run by every agent on what it observes itself: no mask changes anything."""
+
+    row_wise = True
+
+    def __init__(self, model: PPO) -> None:
+        super().__init__()
+        self.actor: ActorCriticPolicy = model.policy
+
+    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        return self.distribution(x).action
+
+    def prepare(self, observation: Tensor) -> Tensor:
+        """(S, N, D) -> (S, N, 2): the mean of SB3's Normal, clipped to the action space as SB3 does."""
+        mean: Tensor = self.actor.get_distribution(observation.flatten(0, -2)).mode()
+        return mean.reshape(*observation.shape[:-1], -1).clamp(-1.0, 1.0)
+
+    def decode(self, prepared: Tensor, mask: Tensor | None = None) -> ActionDistribution:
+        largest = 1.0 - torch.finfo(prepared.dtype).eps
+        loc = torch.atanh(prepared.clamp(-largest, largest))
+        if mask is not None:
+            loc = loc.expand(*mask.shape[:-2], *loc.shape[-2:])
+        return ActionDistribution(loc, torch.ones_like(loc))
+
+    def attention(self, observation: Tensor) -> Tensor:
+        """Everybody listens to itself."""
+        n_agents = observation.shape[-2]
+        return torch.eye(n_agents).expand(*observation.shape[:-2], n_agents, n_agents)
+
+
+def train(task: str, n_agents: int, frames: int, seed: int) -> PPO:
+    """SB3's PPO on SuperSuit's vector of agents, for `frames` team-steps."""
+    import supersuit  # of the `dev` extra: only this control needs it
+
+    vector = supersuit.pettingzoo_env_to_vec_env_v1(TaskParallelEnv(make_task(task, n_agents)))
+    env = SuperSuitVecEnv(supersuit.concat_vec_envs_v1(vector, COPIES, num_cpus=0, base_class="gymnasium"))
+    steps = 12_288 // (COPIES * n_agents)
+    model = PPO("MlpPolicy", env, n_steps=steps, batch_size=1024, seed=seed, device="cpu")
+    return model.learn(frames * n_agents)
+
+
+def main(
+    task: Annotated[str, typer.Option(help="blind_navigation_v0, blind_passage_v0 or blind_discovery_v0")],
+    agents: Annotated[int, typer.Option(help="team size N")] = 3,
+    frames: Annotated[int, typer.Option(min=1, help="team-steps")] = 1_000_000,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    episodes: Annotated[int, typer.Option(min=1)] = EPISODES,
+    out: Annotated[Path, typer.Option(help="folder for TASK.json")] = CONTROLS,
+) -> None:
+    """Train the control on one task, measure it as the reference policies are, write its record."""
+    started = time.monotonic()
+    with one_thread():
+        model = train(task, agents, frames, seed)
+        seconds = time.monotonic() - started
+        performance = evaluate_policy(IndependentPolicy(model).eval(), task, agents, episodes=episodes)
+    record: dict[str, Any] = {
+        "name": f"independent PPO, {task}, N = {agents}",
+        "command": f"python -m xmarl_baselines.independent_ppo --task {task} --agents {agents} "
+        f"--frames {frames} --seed {seed}",
+        "frames": frames,
+        "seconds": round(seconds, 1),
+        "performance": performance,
+    }
+    write_json(out / f"{task}.json", record)
+    print(f"{out / f'{task}.json'}: success {performance['with_messages']['success_rate']:.2f}")
+
+
+if __name__ == "__main__":
+    typer.run(main)

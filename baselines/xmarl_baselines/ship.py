@@ -1,0 +1,62 @@
+"""Takes finished runs into the package: policies/NAME, and for the study over training policies/NAME-atPP.
+
+    python -m xmarl_baselines.ship RUNS
+
+Copies the bundle that `xmarl-train --reproduce` wrote for every reference run that is finished in the folder
+RUNS and weighs it against nothing: the worst seed is shipped like the best.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from safetensors.torch import load_file
+
+from xmarl_baselines.policies import HERE
+from xmarl_baselines.reference import reference_runs
+from xmarl_bench.evaluation import evaluate_policy
+from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
+
+ALONG_TRAINING = (20, 50, 80, 100)  # percent (Kailas et al., ICML 2025, appendix on training iterations)
+EPISODES = 200
+
+
+def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --out` wrote to")]) -> None:
+    """Copy finished reference runs into the package."""
+    for name, run in reference_runs().items():
+        bundle = runs / name / "policy"
+        if not (bundle / "policy.json").exists():
+            continue
+        policy, card = load_policy(bundle)
+        fields = card.model_dump(exclude={"architecture", "weights_sha256"})
+        save_policy(HERE / name, policy, **fields)
+        print(f"{name}: success {card.performance['with_messages']['success_rate']:.3f}")
+        if (run.recipe.task, run.n_agents, run.seed) == ("blind_navigation_v0", 3, 0):
+            _ship_along_training(runs / name, policy, fields)
+
+
+def _ship_along_training(run: Path, policy: GraphPolicy, fields: dict[str, Any]) -> None:
+    """The weights of the validations nearest to ALONG_TRAINING, measured and filed as policies of their own."""
+    frames = fields["training"]["frames"]
+    for percent in ALONG_TRAINING:
+        curve = fields["training"]["curve"]
+        look = min(curve, key=lambda record: abs(record["frames"] - frames * percent / 100))
+        policy.load_state_dict(load_file(run / "validated" / f"{look['frames']:010d}.safetensors"))
+        training = {**fields["training"], "validation": look, "percent": percent}
+        training["command"] += f"; then {run.name}/validated/{look['frames']:010d}.safetensors"
+        save_policy(
+            HERE / f"{fields['name']}-at{percent}",
+            policy,
+            **{
+                **fields,
+                "name": f"{fields['name']}-at{percent}",
+                "training": training,
+                "performance": evaluate_policy(policy, fields["task"], fields["n_agents"], episodes=EPISODES),
+            },
+        )
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -38,7 +38,7 @@ def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --o
 
 
 def _ship_along_training(run: Path, policy: GraphPolicy, fields: dict[str, Any]) -> None:
-    """The weights of the validations nearest to ALONG_TRAINING, measured and filed as policies of their own."""
+    """The weights of the validations nearest to ALONG_TRAINING, measured, as policies of their own."""
     frames = fields["training"]["frames"]
     for percent in ALONG_TRAINING:
         curve = fields["training"]["curve"]

@@ -13,20 +13,43 @@ from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 
-from xmarl_bench.entry import PROTOCOL, CellResult, Entry, read_entries
+from xmarl_bench.controls import INVERTED
+from xmarl_bench.entry import CellResult, ControlMetrics, Entry, Metrics, read_entries
 from xmarl_bench.files import canonical_json, write_atomically, write_json
+from xmarl_bench.protocol import PROTOCOL
 
 ORDER = {
-    "by": "fid_delta",
+    "by": "comm_budgeted_fidelity",
     "direction": "descending",
     "controls": "shown in place, not ranked",
-    "note": "FidDelta alone can be gamed: the mask of ones, a control, attains nearly all of it. Read it "
-    "beside fid_minus, gef and mask_mass. Communication-only budgeted fidelity will replace it as the order.",
+    "note": "Communication-only budgeted fidelity: 0 is a random ranking of the messages, 1 the best one. "
+    "FidDelta alone can be gamed: the mask of ones, a control, attains most of it.",
 }
-EXPLANATION_METRICS = ("fid_plus", "fid_minus", "fid_delta", "gef", "median_kl", "mask_mass")
+# A team that fails has nothing worth explaining, and one that hardly listens makes every explanation of its
+# messages trivially faithful. The dependence is 1 % of the range of an action, [-1, 1].
+GATE = {"success_rate": 0.5, "communication_dependence": 0.02}
+COLUMNS = {
+    "comm_budgeted_fidelity": "comm. budgeted fidelity \u2191",
+    "budgeted_fidelity": "budgeted fidelity \u2191",
+    "fid_plus": "Fid+ \u2191",
+    "fid_minus": "Fid\u2212 \u2193",
+    "fid_delta": "FidDelta \u2191",
+    "gef": "GEF \u2193",
+    "median_kl": "median KL \u2193",
+    "mask_mass": "mask mass",
+    "comm_fid_delta": "comm. FidDelta \u2191",
+    "comm_gef": "comm. GEF \u2193",
+    "renorm_budgeted_fidelity": "renorm. budgeted fidelity \u2191",
+    "success_on_explanation": "success on explanation \u2191",
+    "success_on_complement": "on complement \u2193",
+    "seed_stability": "seed stability \u2191",
+    "weight_randomisation": "shuffled weights \u2193",
+}
+UNSHOWN = ("reward_on_explanation", "reward_on_complement", "behavioural_fidelity", "topk_fid_delta",
+           "comm_fid_plus", "comm_fid_minus", "comm_topk_fid_delta", "renorm_topk_fid_delta")  # fmt: skip
 POLICY_METRICS = (
     "success_rate", "no_agent_collision", "no_object_collision", "makespan", "reward",
-    "communication_dependence",
+    "communication_dependence", "attention_entropy", "attention_distance",
 )  # fmt: skip
 TEMPLATE = Path(__file__).with_name("board.html.jinja")
 
@@ -61,15 +84,21 @@ def board_of(entries: Sequence[tuple[str, Entry]]) -> dict[str, Any]:
             policies = table["policies"]
             group = policies.setdefault(entry.policy.weights_sha256 + entry.policy.name, _policy(entry, cell))
             group["rows"].append(_row(file, entry, cell))
+            for name, metrics in cell.controls.items():
+                if name != INVERTED:  # of this explainer alone: read it in the entry
+                    group["controls"].setdefault(name, _control_row(file, name, metrics))
     ordered = sorted(tables.values(), key=_table_order)
     for table in ordered:
         groups = sorted(
             table["policies"].values(), key=lambda group: (group["name"], group["weights_sha256"])
         )
         for group in groups:
-            _rank(group["rows"])
+            scored = {row["explainer"] for row in group["rows"]}
+            controls = group.pop("controls")
+            group["rows"] += [row for name, row in controls.items() if name not in scored]
+            _rank(group["rows"], ranked=group["gate"] is None)
         table["policies"] = groups
-    return {"schema_version": 1, "protocol": PROTOCOL, "order": ORDER, "tables": ordered}
+    return {"schema_version": 2, "protocol": PROTOCOL, "order": ORDER, "gate": GATE, "tables": ordered}
 
 
 def render(board: dict[str, Any]) -> str:
@@ -77,9 +106,7 @@ def render(board: dict[str, Any]) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
-        board=board, columns=EXPLANATION_METRICS
-    )
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(board=board, columns=COLUMNS)
 
 
 def _policy(entry: Entry, cell: CellResult) -> dict[str, Any]:
@@ -91,7 +118,9 @@ def _policy(entry: Entry, cell: CellResult) -> dict[str, Any]:
         "training_seed": entry.policy.training_seed,
         "trained_n_agents": entry.policy.n_agents,
         "metrics": cell.metrics.model_dump(mode="json", include=set(POLICY_METRICS)),
+        "gate": _gate(cell.metrics),
         "rows": [],
+        "controls": {},
     }
 
 
@@ -104,23 +133,60 @@ def _row(file: str, entry: Entry, cell: CellResult) -> dict[str, Any]:
         "control": entry.explainer.control,
         "submitter": entry.submitter,
         "verification": entry.verification.status,
-        "metrics": cell.metrics.model_dump(mode="json", include=set(EXPLANATION_METRICS)),
+        "metrics": _shown(cell.metrics),
+        "not_measured": cell.not_measured,
         "file": file,
         "entry_id": entry.entry_id,
     }
 
 
-def _rank(rows: list[dict[str, Any]]) -> None:
-    """Sort best first and number all but controls; between equal values the file name decides."""
+def _control_row(file: str, name: str, metrics: ControlMetrics) -> dict[str, Any]:
+    """A control that an entry carries; every entry of the policy carries the same."""
+    return {
+        "rank": None,
+        "explainer": name,
+        "hyperparameters": {},
+        "seed": None,
+        "control": True,
+        "submitter": None,
+        "verification": "",
+        "metrics": _shown(metrics),
+        "not_measured": {},
+        "file": file,
+        "entry_id": None,
+    }
 
-    def key(row: dict[str, Any]) -> tuple[bool, float, str]:
-        value = row["metrics"]["fid_delta"]["value"]
-        return value is None, 0.0 if value is None else -value, row["file"]
+
+def _shown(metrics: Metrics | ControlMetrics) -> dict[str, Any]:
+    dumped = metrics.model_dump(mode="json")
+    return {name: dumped.get(name) for name in (*COLUMNS, *UNSHOWN)}
+
+
+def _gate(metrics: Metrics) -> str | None:
+    """Why the policy's rows are not ranked; None where they are."""
+    for name, least in GATE.items():
+        value = getattr(metrics, name).value
+        if value is None or value < least:
+            shown = "not a number" if value is None else f"{value:.3f}"
+            return f"{name.replace('_', ' ')} {shown}, under {least:g}"
+    return None
+
+
+def _rank(rows: list[dict[str, Any]], *, ranked: bool) -> None:
+    """Sort best first and number all but controls; between equal values file and name decide."""
+
+    def value(row: dict[str, Any]) -> float | None:
+        summary = row["metrics"][ORDER["by"]]
+        return None if summary is None else summary["value"]
+
+    def key(row: dict[str, Any]) -> tuple[bool, float, str, str]:
+        by = value(row)
+        return by is None, 0.0 if by is None else -by, row["file"], row["explainer"]
 
     rows.sort(key=key)
     rank = 0
     for row in rows:
-        if not row["control"] and row["metrics"]["fid_delta"]["value"] is not None:
+        if ranked and not row["control"] and value(row) is not None:
             rank += 1
             row["rank"] = rank
 

@@ -60,6 +60,17 @@ def score(
     slow_timesteps: Annotated[
         int | None, typer.Option(help="Timesteps per episode for explainers that declare themselves slow.")
     ] = None,
+    behaviour_episodes: Annotated[
+        int | None,
+        typer.Option(
+            help="Episodes that the team also plays on the explanation; all by default, none for explainers "
+            "that declare themselves slow."
+        ),
+    ] = None,
+    no_behaviour: Annotated[
+        list[str],
+        typer.Option(help="Explainer on whose masks the team does not play, or 'all'. Repeatable."),
+    ] = [],  # noqa: B006
     max_cycles: MaxCycles = None,
     seed: Seed = 0,
     jobs: Jobs = 1,
@@ -89,7 +100,14 @@ def score(
         timesteps=min((t for t in (timesteps, slow_timesteps) if t is not None), default=None),
     )
     explainers = select_explainers(explainer)
-    requests = plan(select_policies(policy, task, agents), explainers, sampling, slow)
+    requests = plan(
+        select_policies(policy, task, agents),
+        explainers,
+        sampling,
+        slow,
+        behaviour_episodes=behaviour_episodes,
+        no_behaviour=no_behaviour,
+    )
     check_writable(out)
     read_entries(out / "entries")  # a board that could not be rebuilt afterwards is refused now
     entries = []

@@ -17,7 +17,7 @@ from xmarl_bench.explainer import Explainer
 from xmarl_bench.oracle import oracle_mask, soft_oracle_mask
 from xmarl_bench.policy import Policy
 
-INVERTED = "inverted"
+RANDOM, INVERTED, ORACLE, SOFT_ORACLE = "random", "inverted", "oracle", "soft-oracle"
 
 
 def ones_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
@@ -61,12 +61,12 @@ CONTROLS: dict[str, Explainer] = {
             control=True,
         ),
         Explainer("zeros", zeros_mask, "keeps nothing", control=True),
-        Explainer("random", random_mask, "uniform random mask: the floor", stochastic=True, control=True),
+        Explainer(RANDOM, random_mask, "uniform random mask: the floor", stochastic=True, control=True),
         Explainer("bernoulli", bernoulli_mask, "random edges, half of them", stochastic=True, control=True),
         Explainer("self", self_mask, "each agent's own edge alone: explains no coordination", control=True),
-        Explainer("oracle", oracle_mask, "the best binary mask for FidDelta", control=True),
+        Explainer(ORACLE, oracle_mask, "the best binary mask for FidDelta", control=True),
         Explainer(
-            "soft-oracle", soft_oracle_mask, "the best mask found by ascent from the oracle", control=True
+            SOFT_ORACLE, soft_oracle_mask, "the best mask found by ascent from the oracle", control=True
         ),
     )
 }

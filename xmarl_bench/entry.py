@@ -10,37 +10,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import canonical_json, write_json
 from xmarl_bench.policy import Architecture
+from xmarl_bench.protocol import PROTOCOL
 
-PROTOCOL = "xmarl-1"
-DEFINITIONS: dict[str, str] = {
-    "F(m)": "action tanh(loc) in [-1, 1] with the message on edge j -> i scaled by m[i, j] after the "
-    "softmax, nothing renormalised",
-    "fid_minus": "mean over agents of d_i(m), d_i(m) = mean over action entries of |F_i(1) - F_i(m)|",
-    "fid_plus": "mean over agents of d_i(1 - m)",
-    "fid_delta": "fid_plus - fid_minus",
-    "gef": "mean over agents of 1 - exp(-KL(F_i(1) || F_i(m))), diagonal Normals under the tanh, summed over "
-    "action entries",
-    "median_kl": "median of that KL over the agents and timesteps of an episode",
-    "mask_mass": "mean of the mask over all edges, the agents' own among them",
-    "communication_dependence": "mean over agents of d_i(identity): what removing all messages between "
-    "agents changes",
-    "reward": "mean over agents of the return",
-    "success_rate": "fraction of agents at goal when the episode ends; discovery: 1 if found",
-    "no_agent_collision": "1 if no two agents collided in the episode",
-    "no_object_collision": "1 if nobody touched a wall; null where there are no walls",
-    "makespan": "steps until done, max_cycles if never",
-    "aggregation": "mean over timesteps within an episode, then mean over episodes; percentile bootstrap "
-    "interval (95 %) over episodes; what is not a number is left out and counted in n_nan",
-    "timesteps": "null: all T of an episode; K: at most K, number floor((2 k + 1) T / (2 K)), k = 0 .. K - 1",
-    "seeds": "environment seed of each episode: 10^12 + seed * 10^6 + k",
-}
+SCHEMA_VERSION: Final = 2
 
 
 class Record(BaseModel):
@@ -72,7 +51,7 @@ class ExplainerRecord(Record):
 class Protocol(Record):
     """What was measured and on which states. Entries share a table only where this is identical."""
 
-    id: Literal["xmarl-1"] = "xmarl-1"
+    id: Literal["xmarl-2"] = PROTOCOL
     episodes: int
     seeds: tuple[int, ...]
     timesteps: int | None  # at most so many of each episode; None is all
@@ -86,19 +65,48 @@ class Summary(Record):
     n_nan: int
 
 
-class EpisodeRow(Record):
-    """One episode. A metric is null where it is not a number, or where the task has no such thing."""
+class ExplanationRow(Record):
+    """What a mask scores on one episode. A metric is null where it is not a number."""
 
-    seed: int
-    length: int  # steps of the episode
-    timesteps: int  # of which so many were explained
     fid_plus: float | None
     fid_minus: float | None
     fid_delta: float | None
     gef: float | None
     median_kl: float | None
     mask_mass: float | None
+    topk_fid_delta: float | None
+    budgeted_fidelity: float | None
+    comm_fid_plus: float | None
+    comm_fid_minus: float | None
+    comm_fid_delta: float | None
+    comm_gef: float | None
+    comm_topk_fid_delta: float | None
+    comm_budgeted_fidelity: float | None
+    renorm_topk_fid_delta: float | None
+    renorm_budgeted_fidelity: float | None
+
+
+class BehaviourRow(Record):
+    """How the team did on the explanation and on the rest; null in episodes that were not played so."""
+
+    success_on_explanation: float | None
+    success_on_complement: float | None
+    reward_on_explanation: float | None
+    reward_on_complement: float | None
+    behavioural_fidelity: float | None
+
+
+class EpisodeRow(ExplanationRow, BehaviourRow):
+    """One episode. A metric is null where it is not a number, or where it was not measured."""
+
+    seed: int
+    length: int  # steps of the episode
+    timesteps: int  # of which so many were explained
+    seed_stability: float | None
+    weight_randomisation: float | None
     communication_dependence: float | None
+    attention_entropy: float | None
+    attention_distance: float | None
     reward: float | None
     success_rate: float | None
     no_agent_collision: float | None
@@ -106,13 +114,8 @@ class EpisodeRow(Record):
     makespan: float | None
 
 
-METRICS: tuple[str, ...] = tuple(
-    name for name in EpisodeRow.model_fields if name not in ("seed", "length", "timesteps")
-)
-
-
-class Metrics(Record):
-    """Every metric of a cell; null where the task has no such thing."""
+class ExplanationMetrics(Record):
+    """The means of `ExplanationRow`; null where a metric was not measured."""
 
     fid_plus: Summary
     fid_minus: Summary
@@ -120,7 +123,40 @@ class Metrics(Record):
     gef: Summary
     median_kl: Summary
     mask_mass: Summary
+    topk_fid_delta: Summary | None
+    budgeted_fidelity: Summary | None
+    comm_fid_plus: Summary
+    comm_fid_minus: Summary
+    comm_fid_delta: Summary
+    comm_gef: Summary
+    comm_topk_fid_delta: Summary | None
+    comm_budgeted_fidelity: Summary | None
+    renorm_topk_fid_delta: Summary | None
+    renorm_budgeted_fidelity: Summary | None
+
+
+class BehaviourMetrics(Record):
+    """The means of `BehaviourRow`, over the episodes that were played so; null where none was."""
+
+    success_on_explanation: Summary | None
+    success_on_complement: Summary | None
+    reward_on_explanation: Summary | None
+    reward_on_complement: Summary | None
+    behavioural_fidelity: Summary | None
+
+
+class ControlMetrics(ExplanationMetrics, BehaviourMetrics):
+    """A control on the same episodes."""
+
+
+class Metrics(ExplanationMetrics, BehaviourMetrics):
+    """Every metric of a cell; null where it was not measured, see `CellResult.not_measured`."""
+
+    seed_stability: Summary | None
+    weight_randomisation: Summary | None
     communication_dependence: Summary
+    attention_entropy: Summary | None
+    attention_distance: Summary | None
     reward: Summary
     success_rate: Summary
     no_agent_collision: Summary
@@ -133,12 +169,19 @@ class CellResult(Record):
     n_agents: int
     max_cycles: int
     metrics: Metrics
+    not_measured: dict[str, str]  # metric -> why it is null
+    controls: dict[str, ControlMetrics]
+    behaviour_episodes: int  # the first so many were also played on the explanation and on the complement
     episodes: tuple[EpisodeRow, ...]
 
 
 class Cost(Record):
-    explain_seconds_per_timestep: float  # wall clock on one thread; masks only, no metrics
+    """Wall clock on one thread. No part of the entry's id."""
+
+    explain_seconds_per_timestep: float  # masks only, no metrics
     explained_timesteps: int
+    shared_seconds_per_timestep: float  # oracle, controls and their metrics: once for all explainers
+    behaviour_seconds: float  # the rollouts on the explanation and on the complement
 
 
 class Provenance(Record):
@@ -164,7 +207,7 @@ class Verification(Record):
 
 
 class Entry(Record):
-    schema_version: Literal[1] = 1
+    schema_version: Literal[2] = SCHEMA_VERSION
     entry_id: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     submitter: str | None
     policy: PolicyRecord
@@ -210,8 +253,13 @@ def read_entry(path: Path) -> Entry:
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}).") from None
     except ValidationError as error:
-        first = error.errors()[0]
+        first = next((e for e in error.errors() if e["loc"] == ("schema_version",)), error.errors()[0])
         where = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        if where == "schema_version":
+            raise InputError(
+                f"{path} has schema_version {first['input']!r}, this version of xmarl-bench reads "
+                f"{SCHEMA_VERSION}: score it again, or move it away."
+            ) from None
         raise InputError(f"{path} is not an entry: {first['msg']} at {where}.") from None
     if entry_id(entry) != entry.entry_id:
         raise InputError(

@@ -1,104 +1,116 @@
-"""The unit of work of scoring: one episode, explained and measured in one batch.
+"""A unit of the work of scoring: one episode, explained by some explainers and measured beside the controls.
 
 Matrix products round differently in batches of another size and in memory of another alignment, so an
-episode is always one batch of its own, in tensors that torch allocates: its row depends on nothing but
-(policy, explainer, seed, episode, timesteps).
+episode is always one batch of its own, in tensors that torch allocates: what an explainer scores on it
+depends on nothing but (policy, explainer, seed, episode, timesteps), and not on the other explainers.
 """
 
 from __future__ import annotations
 
 import copy
-import math
 import time
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from xmarl_bench.entry import EpisodeRow
+from xmarl_bench.controls import CONTROLS, ORACLE, SOFT_ORACLE
+from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer, run_explainer
-from xmarl_bench.metrics import (
-    fidelity,
-    graph_explanation_unfaithfulness,
-    kl_divergence,
-    mask_mass,
-    prediction_change,
-)
-from xmarl_bench.policy import ActionDistribution, GraphPolicy
+from xmarl_bench.oracle import ascend
+from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout import Episode
+from xmarl_bench.sanity import SANITY_TIMESTEPS, seed_stability, weight_randomisation
+from xmarl_bench.states import States, Values, number
 
 
 @dataclass(frozen=True)
-class Unit:
-    """One episode to explain and measure."""
+class Explained:
+    """What one explainer scored on one episode."""
 
-    policy: GraphPolicy
-    explainer: Explainer
-    episode: Episode
-    seed: int  # of the run
-    timesteps: int | None  # at most so many; None is all
-    walls: bool  # the task has walls to collide with
+    values: Values  # of `ExplanationRow`, and of the sanity checks where the unit asks for them
+    inverted: Values  # of `ExplanationRow`, for 1 - mask
+    seconds: float  # for the masks alone
 
 
 @dataclass(frozen=True)
 class Measured:
-    row: EpisodeRow
-    explain_seconds: float
+    timesteps: int  # explained
+    explained: dict[str, Explained | InputError]  # by explainer; the error of one does not stop the others
+    controls: dict[str, Values]  # of `ExplanationRow`, by control; no oracle where there is none
+    policy: Values  # what is the policy's alone
+    shared_seconds: float  # for all but the explainers' masks and metrics
 
 
-def measure(unit: Unit) -> Measured:
-    """Explain the chosen timesteps of one episode and compute its metrics."""
-    episode, explainer = unit.episode, unit.explainer
-    # A copy is laid out as torch lays it out, also where the policy came through a pickle.
-    policy = copy.deepcopy(unit.policy).eval()
-    chosen = spaced_timesteps(len(episode.observations), unit.timesteps)
-    with one_thread():
-        observations = torch.tensor(episode.observations[chosen])
-        seed = derived_seed("explainer", unit.seed, explainer.name, episode.seed)
-        started = time.perf_counter()
-        mask = run_explainer(explainer, policy, observations, seed)
-        explain_seconds = time.perf_counter() - started
-        metrics = explanation_metrics(policy, observations, mask)
-    row = EpisodeRow(
-        seed=episode.seed,
-        length=len(episode.observations),
-        timesteps=len(chosen),
-        **metrics,
-        reward=_number(episode.reward),
-        success_rate=_number(episode.success_rate),
-        no_agent_collision=_number(episode.no_agent_collision),
-        no_object_collision=_number(episode.no_object_collision) if unit.walls else None,
-        makespan=_number(episode.makespan),
-    )
-    return Measured(row, explain_seconds)
+@dataclass(frozen=True)
+class Unit:
+    """One episode to explain and measure: what is handed to a worker."""
 
+    policy: Policy
+    explainers: tuple[Explainer, ...]
+    episode: Episode
+    seed: int  # of the run
+    timesteps: int | None  # at most so many; None is all
+    sanity: bool  # check stability between seeds and shuffled weights too
 
-@torch.inference_mode()
-def explanation_metrics(
-    policy: GraphPolicy, observations: torch.Tensor, mask: torch.Tensor
-) -> dict[str, float | None]:
-    """Metrics of masks (S, N, N) on observations (S, N, D), averaged over the S timesteps of an episode.
+    def run(self) -> Measured:
+        with one_thread():
+            # A copy is laid out as torch lays it out, also where the policy came through a pickle.
+            policy = copy.deepcopy(self.policy).eval()
+            chosen = spaced_timesteps(len(self.episode.observations), self.timesteps)
+            observations = torch.tensor(self.episode.observations[chosen])
+            started = time.perf_counter()
+            rng = np.random.default_rng(derived_seed("ties", self.seed, self.episode.seed))
+            states = States.of(policy, observations, rng)
+            controls = {name: states.mask_metrics(mask) for name, mask in self._control_masks(states).items()}
+            policy_metrics = states.policy_metrics()
+            shared_seconds = time.perf_counter() - started
+            explained = {each.name: self._explain(each, states) for each in self.explainers}
+        return Measured(len(chosen), explained, controls, policy_metrics, shared_seconds)
 
-    A timestep whose metric is not a number makes the episode's None.
-    """
-    prepared = policy.prepare(observations)
-    full = policy.decode(prepared)
-    kept = policy.decode(prepared, mask)
-    dropped = policy.decode(prepared, 1.0 - mask)
-    alone = policy.decode(prepared, torch.eye(mask.shape[-1]).expand_as(mask))
-    fid = fidelity(_action(full), _action(kept), _action(dropped))
-    kl = kl_divergence(full.loc.numpy(), full.scale.numpy(), kept.loc.numpy(), kept.scale.numpy())
-    return {
-        "fid_plus": _number(fid.plus.mean()),
-        "fid_minus": _number(fid.minus.mean()),
-        "fid_delta": _number(fid.delta.mean()),
-        "gef": _number(graph_explanation_unfaithfulness(kl).mean()),
-        "median_kl": _number(np.median(kl)),
-        "mask_mass": _number(mask_mass(mask.numpy()).mean()),
-        "communication_dependence": _number(prediction_change(_action(full), _action(alone)).mean()),
-    }
+    def _explain(self, explainer: Explainer, states: States) -> Explained | InputError:
+        try:
+            started = time.perf_counter()
+            mask = self._mask(explainer, states)
+            seconds = time.perf_counter() - started
+            sanity = self._sanity(explainer, states, mask) if self.sanity else {}
+        except InputError as error:
+            return error
+        return Explained({**states.mask_metrics(mask), **sanity}, states.mask_metrics(1.0 - mask), seconds)
+
+    def _mask(self, explainer: Explainer, states: States) -> Tensor:
+        seed = derived_seed("explainer", self.seed, explainer.name, self.episode.seed)
+        return run_explainer(explainer, states.policy, states.observations, seed)
+
+    def _sanity(self, explainer: Explainer, states: States, mask: Tensor) -> Values:
+        few = torch.from_numpy(spaced_timesteps(len(mask), SANITY_TIMESTEPS))
+        observations, mask = states.observations[few], mask[few]
+        seed = derived_seed("sanity", self.seed, explainer.name, self.episode.seed)
+        values: Values = {
+            "weight_randomisation": number(
+                weight_randomisation(explainer, states.policy, observations, mask, seed)
+            )
+        }
+        if explainer.stochastic:
+            values["seed_stability"] = number(
+                seed_stability(explainer, states.policy, observations, mask, seed)
+            )
+        return values
+
+    def _control_masks(self, states: States) -> dict[str, Tensor]:
+        """The masks of CONTROLS; the oracle's come out of the table that the states hold."""
+        masks = {
+            name: self._mask(control, states)
+            for name, control in CONTROLS.items()
+            if name not in (ORACLE, SOFT_ORACLE)
+        }
+        if states.oracle_mask is not None:
+            masks[ORACLE] = states.oracle_mask
+            masks[SOFT_ORACLE] = ascend(states.policy, states.observations, states.oracle_mask)
+        return masks
 
 
 def spaced_timesteps(length: int, timesteps: int | None) -> NDArray[np.int64]:
@@ -106,12 +118,3 @@ def spaced_timesteps(length: int, timesteps: int | None) -> NDArray[np.int64]:
     if timesteps is None or timesteps >= length:
         return np.arange(length)
     return np.asarray((2 * np.arange(timesteps) + 1) * length // (2 * timesteps))
-
-
-def _action(distribution: ActionDistribution) -> NDArray[np.float32]:
-    return np.asarray(distribution.action.numpy())
-
-
-def _number(value: float) -> float | None:
-    """JSON has no NaN: what is not a finite number is None, and is counted as `n_nan` further on."""
-    return float(value) if math.isfinite(value) else None

@@ -34,8 +34,8 @@ def why_no_oracle(policy: Policy, n_agents: int) -> str | None:
     """Why there is none for this policy and team; None where there is one."""
     if not policy.row_wise:
         return (
-            "an oracle needs a single layer that passes messages, so that an action depends on its own row of "
-            "the mask alone, and this policy has several"
+            "an oracle needs a single layer that passes messages, so that an action depends on its own row "
+            "of the mask alone, and this policy has several"
         )
     if n_agents > MAX_AGENTS:
         return f"an oracle tries all 2^N rows of a mask, for at most {MAX_AGENTS} agents, got {n_agents}"

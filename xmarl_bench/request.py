@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from xmarl_envs import TASKS, Task, make_task
 
+from xmarl_bench.behaviour import why_no_behaviour
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy, PolicyCard
 from xmarl_bench.registry import FoundExplainer, check_task
@@ -63,10 +64,25 @@ class Request:
     explainer: FoundExplainer
     cells: tuple[Cell, ...]
     sampling: Sampling
+    # Episodes that the team also plays on the explanation: it is asked for at every step, which costs an
+    # optimising explainer far more than all of its other metrics. None is all, but none for slow explainers.
+    behaviour_episodes: int | None = None
 
     def __post_init__(self) -> None:
         for cell in self.cells:
             check_fit(self.card, cell)
+        if self.behaviour_episodes is not None and self.behaviour_episodes < 0:
+            raise InputError(
+                f"behaviour_episodes must be at least 0, got {self.behaviour_episodes}: 0 leaves them out."
+            )
+
+    def behaviours(self, cell: Cell) -> int:
+        """How many episodes of the cell are played on the explanation."""
+        if why_no_behaviour(cell.n_agents) is not None:
+            return 0
+        if self.behaviour_episodes is None:
+            return 0 if self.explainer.explainer.slow else self.sampling.episodes
+        return min(self.behaviour_episodes, self.sampling.episodes)
 
 
 def check_fit(card: PolicyCard, cell: Cell) -> None:

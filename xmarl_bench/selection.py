@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from xmarl_envs import TASKS
 
+from xmarl_bench.controls import CONTROLS
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy, PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
@@ -16,6 +17,7 @@ from xmarl_bench.registry import (
     find_explainer,
     find_policies,
     find_policy,
+    unknown,
 )
 from xmarl_bench.request import Cell, Request, Sampling, check_fit
 
@@ -71,8 +73,9 @@ def select_policies(
 
 
 def select_explainers(names: Sequence[str]) -> list[FoundExplainer]:
-    wanted = explainer_names() if ALL in names else list(dict.fromkeys(names))
-    return [find_explainer(name) for name in wanted]
+    """`all` leaves controls out, for every entry carries them."""
+    everything = [name for name in explainer_names() if name not in CONTROLS]
+    return [find_explainer(name) for name in (everything if ALL in names else dict.fromkeys(names))]
 
 
 def plan(
@@ -80,12 +83,21 @@ def plan(
     explainers: Sequence[FoundExplainer],
     sampling: Sampling,
     slow: Sampling | None = None,
+    *,
+    behaviour_episodes: int | None = None,
+    no_behaviour: Sequence[str] = (),
 ) -> list[Request]:
     """One request per policy and explainer.
 
     slow: the sampling of explainers that declare themselves slow. Where the run has such, the others are
     scored on it as well as on `sampling`: entries are compared on the same states or not at all.
+    behaviour_episodes, no_behaviour: see `Request.behaviour_episodes`, and explainers that get none; ALL is
+    all of them. Raises InputError where one of these names is of no explainer of the run.
     """
+    names = [found.explainer.name for found in explainers]
+    for name in no_behaviour:
+        if name != ALL and name not in names:
+            raise unknown("explainer", name, [*names, ALL], "for those are what is scored")
     any_slow = slow is not None and slow != sampling and any(found.explainer.slow for found in explainers)
     requests = []
     for policy, card, cells in policies:
@@ -93,7 +105,9 @@ def plan(
             samplings = [sampling]
             if any_slow and slow is not None:
                 samplings = [slow] if found.explainer.slow else [sampling, slow]
-            requests += [Request(policy, card, found, cells, each) for each in samplings]
+            none = ALL in no_behaviour or found.explainer.name in no_behaviour
+            played = 0 if none else behaviour_episodes
+            requests += [Request(policy, card, found, cells, each, played) for each in samplings]
     return requests
 
 

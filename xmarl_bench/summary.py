@@ -1,15 +1,26 @@
-"""Mean and interval of a metric over episodes: the episode is the unit, for timesteps are autocorrelated."""
+"""From episodes to the numbers of a cell: the episode is the unit, for timesteps are autocorrelated."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from xmarl_bench.entry import Summary
+from xmarl_bench.entry import (
+    BehaviourMetrics,
+    CellResult,
+    ControlMetrics,
+    EpisodeRow,
+    Metrics,
+    Summary,
+)
+from xmarl_bench.reproducible import derived_seed
+from xmarl_bench.sanity import SANITY_EPISODES
 
 RESAMPLES = 5000
 CONFIDENCE = 0.95
+BEHAVIOUR = tuple(BehaviourMetrics.model_fields)
+SANITY = ("seed_stability", "weight_randomisation")
 
 
 def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summary:
@@ -29,3 +40,47 @@ def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summa
         low, high = np.quantile(means, [tail, 1.0 - tail])
         interval = (float(low), float(high))
     return Summary(value=float(x.mean()), interval=interval, n=int(x.size), n_nan=n_nan)
+
+
+def metrics_of_cell(cell: CellResult, seed: int) -> Metrics:
+    """A cell's metrics, derived again from its rows."""
+    return cell_metrics(cell.episodes, seed, cell.not_measured, cell.behaviour_episodes)
+
+
+def cell_metrics(
+    rows: Sequence[EpisodeRow], seed: int, not_measured: Mapping[str, str], behaviour_episodes: int
+) -> Metrics:
+    """Aggregate rows; the resampling of a metric's interval depends on its name and the run's seed alone."""
+    values = {name: [getattr(row, name) for row in rows] for name in Metrics.model_fields}
+    return Metrics.model_validate(_summaries(values, seed, not_measured, behaviour_episodes))
+
+
+def control_metrics(
+    rows: Sequence[Mapping[str, float | None]],
+    seed: int,
+    not_measured: Mapping[str, str],
+    behaviour_episodes: int,
+) -> ControlMetrics:
+    """Aggregate a control's episodes; a metric that a row lacks is not measured."""
+    absent = {name: "" for name in ControlMetrics.model_fields if name not in rows[0]}
+    values = {name: [row.get(name) for row in rows] for name in ControlMetrics.model_fields}
+    return ControlMetrics.model_validate(
+        _summaries(values, seed, {**not_measured, **absent}, behaviour_episodes)
+    )
+
+
+def _summaries(
+    values: Mapping[str, list[float | None]],
+    seed: int,
+    not_measured: Mapping[str, str],
+    behaviour_episodes: int,
+) -> dict[str, Summary | None]:
+    first = {**dict.fromkeys(SANITY, SANITY_EPISODES), **dict.fromkeys(BEHAVIOUR, behaviour_episodes)}
+    return {
+        name: None
+        if name in not_measured
+        else summarise(
+            series[: first.get(name)], np.random.default_rng(derived_seed("bootstrap", seed, name))
+        )
+        for name, series in values.items()
+    }

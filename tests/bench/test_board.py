@@ -8,26 +8,38 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import MakeBundle
+from tests.policies import small_policy
 from xmarl_bench.board import board_of, build_board, render
+from xmarl_bench.controls import CONTROLS
 from xmarl_bench.entry import Entry, Record, write_entry
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy import load_policy
+from xmarl_bench.policy import save_policy
 from xmarl_bench.registry import find_explainer
 from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.scoring import score_requests
 
 
-@pytest.fixture
-def entries(make_bundle: MakeBundle) -> list[Entry]:
-    policies = [load_policy(make_bundle(name=name, seed=seed)) for seed, name in enumerate(("a", "b"))]
+@pytest.fixture(scope="module")
+def entries(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
+    policies = []
+    for seed, name in enumerate(("a", "b")):
+        policy = small_policy(6, seed)
+        card = save_policy(
+            tmp_path_factory.mktemp("policies") / name,
+            policy,
+            name=name,
+            task="blind_navigation_v0",
+            n_agents=3,
+            attention_entropy=0.5,
+        )
+        policies.append((policy, card))
     samplings = Sampling(episodes=3, max_cycles=8), Sampling(episodes=2, timesteps=2, max_cycles=8)
     return list(
         score_requests(
             [
-                Request(policy, card, find_explainer(name), (Cell(card.task, n),), sampling)
+                Request(policy, card, find_explainer(name), (Cell(card.task, n),), sampling, 0)
                 for policy, card in policies
-                for name in ("all-ones", "random", "attention")
+                for name in ("random", "attention")
                 for sampling in samplings
                 for n in (3, 4)
             ]
@@ -35,8 +47,18 @@ def entries(make_bundle: MakeBundle) -> list[Entry]:
     )
 
 
+def passed(entry: Entry, **means: float) -> Entry:
+    """The entry with other means; by default with those of a policy that passes the gate."""
+    (cell,) = entry.results
+    changed = {name: {"value": mean} for name, mean in {"success_rate": 0.9, **means}.items()}
+    metrics = cell.metrics.model_copy(
+        update={name: getattr(cell.metrics, name).model_copy(update=value) for name, value in changed.items()}
+    )
+    return entry.model_copy(update={"results": (cell.model_copy(update={"metrics": metrics}),)})
+
+
 def test_only_identical_protocols_share_a_table(entries: list[Entry]) -> None:
-    board = board_of([(entry.file_name, entry) for entry in entries])
+    board = board_of([(entry.file_name, passed(entry)) for entry in entries])
     shown = [
         (table["n_agents"], table["protocol"]["episodes"], table["protocol"]["timesteps"])
         for table in board["tables"]
@@ -46,12 +68,35 @@ def test_only_identical_protocols_share_a_table(entries: list[Entry]) -> None:
         assert [policy["name"] for policy in table["policies"]] == ["a", "b"]
         for policy in table["policies"]:
             rows = policy["rows"]
-            values = [row["metrics"]["fid_delta"]["value"] for row in rows]
+            values = [row["metrics"]["comm_budgeted_fidelity"]["value"] for row in rows]
             assert values == sorted(values, reverse=True)
             assert [row["rank"] for row in rows if not row["control"]] == [1]
             assert {row["rank"] for row in rows if row["control"]} == {None}
-            assert {row["explainer"] for row in rows} == {"all-ones", "random", "attention"}
-    assert board["order"]["by"] == "fid_delta"
+            assert sorted(row["explainer"] for row in rows) == sorted([*CONTROLS, "attention"])
+            # A control that was scored by itself stands there as that entry, the others as carried along.
+            assert {row["explainer"] for row in rows if row["entry_id"]} == {"random", "attention"}
+    assert board["order"]["by"] == "comm_budgeted_fidelity"
+
+
+def test_policies_that_fail_or_do_not_listen_are_marked_not_ranked(entries: list[Entry]) -> None:
+    entry = next(each for each in entries if each.explainer.name == "attention")
+    for means, said in (
+        ({"success_rate": 0.49}, "success rate 0.490, under 0.5"),
+        ({"communication_dependence": 0.019}, "communication dependence 0.019, under 0.02"),
+        ({"success_rate": 0.5, "communication_dependence": 0.02}, None),
+    ):
+        board = board_of([("x.json", passed(entry, **means))])
+        (policy,) = board["tables"][0]["policies"]
+        assert policy["gate"] == said
+        (row,) = [row for row in policy["rows"] if row["explainer"] == "attention"]
+        assert row["rank"] == (1 if said is None else None)
+        assert (f"Not ranked: {said}." in render(board)) == (said is not None)
+
+
+def test_what_was_not_measured_says_why(entries: list[Entry]) -> None:
+    entry = next(each for each in entries if each.explainer.name == "attention")
+    reason = entry.results[0].not_measured["success_on_explanation"]
+    assert f'title="{reason}"' in render(board_of([("x.json", entry)]))
 
 
 def test_bytes_depend_on_the_entries_alone(tmp_path: Path, entries: list[Entry]) -> None:
@@ -80,7 +125,7 @@ def test_the_page_shows_the_numbers_loads_nothing_and_escapes(tmp_path: Path, en
     assert "&lt;script&gt;" in page
     assert not re.search(r'(src|href)="(https?:)?//', page)
     assert "prefers-color-scheme: dark" in page
-    value = board["tables"][0]["policies"][-1]["rows"][0]["metrics"]["fid_delta"]["value"]
+    value = board["tables"][0]["policies"][-1]["rows"][0]["metrics"]["comm_budgeted_fidelity"]["value"]
     assert f"{value:.3f}" in page
 
 
@@ -92,7 +137,7 @@ def test_no_entries_is_an_empty_board(tmp_path: Path) -> None:
 
 def test_an_invalid_entry_is_refused_before_anything_is_written(tmp_path: Path, entries: list[Entry]) -> None:
     path = write_entry(tmp_path / "entries", entries[0])
-    path.write_text(path.read_text().replace('"control": true', '"control": false'))
+    path.write_text(path.read_text().replace('"submitter": null', '"submitter": "x"'))
     with pytest.raises(InputError, match=re.escape(path.name)):
         build_board(tmp_path)
     assert not (tmp_path / "leaderboard.json").exists()

@@ -54,7 +54,7 @@ def test_the_table_is_the_formula_row_by_row() -> None:
         np.testing.assert_allclose(table[r, s].numpy(), np.tanh(loc), atol=1e-6)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(n_agents=st.integers(1, 5), seed=st.integers(0, 10**6))
 def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int) -> None:
     policy, observations = small_policy(5, seed), random_observations(6, n_agents, 5, seed)
@@ -65,7 +65,7 @@ def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int) -> None:
     assert float(soft.min()) >= 0.0
     assert float(soft.max()) <= 1.0
     assert (fid_delta(policy, observations, soft) >= highest - 1e-5).all()
-    masks = [random_masks(6, n_agents, seed + k).round() for k in range(8)]
+    masks = [random_masks(6, n_agents, seed + k).round() for k in range(4)]
     masks += [torch.ones(6, n_agents, n_agents), torch.eye(n_agents).expand(6, -1, -1)]
     for mask in masks:
         assert (fid_delta(policy, observations, mask) <= highest + 1e-5).all()

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 from xmarl_envs import TASKS
 
-from tests.bench.plugins import BAD
+from tests.bench.plugins import BAD, slow
 from tests.conftest import MakeBundle
-from xmarl_bench.entry import Entry, write_entry
+from xmarl_bench.controls import CONTROLS
+from xmarl_bench.entry import BehaviourMetrics, Entry, write_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import canonical_json
 from xmarl_bench.policy import load_policy
@@ -39,13 +41,13 @@ def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make
 
 def test_one_and_two_processes_write_the_same_bytes(make_bundle: MakeBundle) -> None:
     policies = [load_policy(make_bundle(task, name=task)) for task in sorted(TASKS)]
-    fast, slow = Sampling(episodes=4, max_cycles=25), Sampling(episodes=2, timesteps=1, max_cycles=25)
+    fast, few = Sampling(episodes=4, max_cycles=25), Sampling(episodes=2, timesteps=1, max_cycles=25)
     requests = [
         Request(policy, card, find_explainer("attention"), (Cell(card.task, 3),), fast)
         for policy, card in policies
     ]
     requests += [
-        Request(*policies[0], find_explainer(name), requests[0].cells, slow)
+        Request(*policies[0], find_explainer(name), requests[0].cells, few)
         for name in ("gnn_explainer", "graphmask-pyg")
     ]
     one = [bytes_of(entry) for entry in score_requests(requests, jobs=1)]
@@ -92,6 +94,85 @@ def test_what_an_entry_says(make_bundle: MakeBundle) -> None:
     assert entry.provenance.packages["torch"] == version("torch")
 
 
+def test_every_entry_carries_the_controls_on_the_same_states(make_bundle: MakeBundle) -> None:
+    folder = make_bundle()
+    entry, ones = (score(folder, name, episodes=2, max_cycles=9) for name in ("attention", "all-ones"))
+    (cell,), (own,) = entry.results, ones.results
+    assert set(cell.controls) == {*CONTROLS, "inverted"}
+    for name, summary in cell.controls["all-ones"]:
+        if name not in BehaviourMetrics.model_fields:
+            assert summary == getattr(own.metrics, name), name
+    assert cell.controls["all-ones"].fid_minus.value == 0.0
+    oracle, soft = (cell.controls[name].fid_delta.value for name in ("oracle", "soft-oracle"))
+    assert oracle is not None
+    assert soft is not None
+    for name, control in cell.controls.items():
+        assert (control.fid_delta.value or 0.0) <= soft + 1e-6, name
+    for name in ("all-ones", "zeros", "bernoulli", "self"):
+        assert (cell.controls[name].fid_delta.value or 0.0) <= oracle + 1e-6, name
+    inverse = -(cell.metrics.fid_delta.value or 0.0)
+    assert cell.controls["inverted"].fid_delta.value == pytest.approx(inverse, abs=1e-7)
+
+
+def test_what_is_not_measured_says_why(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+
+    def reasons(name: str, n_agents: int, behaviour_episodes: int | None) -> dict[str, str]:
+        cell = Cell(card.task, n_agents)
+        sampling = Sampling(episodes=1, timesteps=1, max_cycles=2)
+        request = Request(policy, card, find_explainer(name), (cell,), sampling, behaviour_episodes)
+        (entry,) = score_requests([request])
+        (result,) = entry.results
+        nulls = {name for name, summary in result.metrics if summary is None}
+        assert nulls == set(result.not_measured)
+        return result.not_measured
+
+    behaviour = set(BehaviourMetrics.model_fields)
+    assert set(reasons("attention", 3, None)) == {"seed_stability", "no_object_collision"}
+    assert set(reasons("random", 3, 0)) == {"no_object_collision"} | behaviour
+    assert "at every step" in reasons("random", 3, 0)["behavioural_fidelity"]
+    two = reasons("random", 2, None)
+    assert set(two) == {
+        "no_object_collision", "comm_topk_fid_delta", "comm_budgeted_fidelity", *behaviour
+    }  # fmt: skip
+    assert "needs 3 agents" in two["comm_budgeted_fidelity"]
+    many = reasons("random", 11, 0)
+    assert {name for name in many if "at most 10 agents, got 11" in many[name]} == {
+        "budgeted_fidelity", "comm_budgeted_fidelity", "renorm_budgeted_fidelity", "renorm_topk_fid_delta",
+    }  # fmt: skip
+
+
+def test_fewer_behaviour_episodes_are_the_first_of_more(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    cells, sampling = (Cell(card.task, 3),), Sampling(episodes=4, max_cycles=12)
+    requests = [
+        Request(policy, card, find_explainer(name), cells, sampling, played)
+        for name in ("attention", "bernoulli")
+        for played in (4, 2, 0)
+    ]
+    for entry, request in zip(score_requests(requests), requests, strict=True):
+        (cell,) = entry.results
+        n_played = request.behaviours(cells[0])
+        assert cell.behaviour_episodes == n_played
+        played = [row.reward_on_explanation is not None for row in cell.episodes]
+        assert played == [k < n_played for k in range(4)]
+        for metrics in (cell.metrics, cell.controls["random"]):
+            summary = metrics.reward_on_complement
+            assert (summary.n, summary.n_nan) == (n_played, 0) if summary else n_played == 0
+    whole, half = (entry.results[0].episodes[:2] for entry in score_requests(requests[:2]))
+    assert whole == half
+
+
+def test_two_explainers_of_one_name_are_refused(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    requests = [
+        Request(policy, card, as_found(replace(slow, summary=text)), (Cell(card.task, 3),), Sampling(1))
+        for text in ("one", "another")
+    ]
+    with pytest.raises(InputError, match="two explainers are named 'slow'"):
+        next(score_requests(requests))
+
+
 def test_tasks_without_walls_have_no_object_collision(make_bundle: MakeBundle) -> None:
     entry = score(make_bundle(), "all-ones", episodes=1, max_cycles=5)
     assert entry.results[0].metrics.no_object_collision is None
@@ -130,6 +211,7 @@ def test_a_bad_explainer_is_refused_before_a_good_one_is_scored(make_bundle: Mak
         ({"max_cycles": 0}, "max_cycles"),
         ({"jobs": 0}, "jobs"),
         ({"parallel_episodes": 0}, "parallel_episodes"),
+        ({"behaviour_episodes": -1}, "behaviour_episodes"),
         ({"task": "blind_passage_v0"}, "observations of 6 entries"),
         ({"task": "nowhere_v0"}, "unknown task 'nowhere_v0'"),
         ({"n_agents": 0}, "got 0"),
@@ -145,13 +227,13 @@ def test_options_out_of_range_are_refused(
 def test_slow_explainers_get_few_states_and_the_others_both(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     selected = [(policy, card, (Cell(card.task, 3),))]
-    explainers = [find_explainer(name) for name in ("random", "attention", "gnn_explainer")]
+    explainers = [find_explainer("random"), find_explainer("attention"), as_found(slow)]
     full, few = Sampling(episodes=50), Sampling(episodes=5, timesteps=20)
     planned = [
         (each.explainer.explainer.name, each.sampling) for each in plan(selected, explainers, full, few)
     ]
     assert planned == [
-        ("random", full), ("random", few), ("attention", full), ("attention", few), ("gnn_explainer", few),
+        ("random", full), ("random", few), ("attention", full), ("attention", few), ("slow", few),
     ]  # fmt: skip
     assert {each.sampling for each in plan(selected, explainers[:2], full, few)} == {full}
     assert {each.sampling for each in plan(selected, explainers, full)} == {full}

@@ -1,0 +1,197 @@
+"""What the metrics of every explainer on the same states share, computed once: F(1), the oracle's tables.
+
+S is the number of timesteps explained, N agents, D observation entries.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.metrics import (
+    Fidelity,
+    attention_distance,
+    attention_entropy,
+    budgeted_fidelity,
+    fid_delta_at_k,
+    fid_delta_table,
+    fidelity,
+    graph_explanation_unfaithfulness,
+    kl_divergence,
+    mask_mass,
+    oracle_at_k,
+    other_senders,
+    others_table,
+    prediction_change,
+    random_at_k,
+    top_k_rows,
+)
+from xmarl_bench.oracle import best_rows, change_table, mask_of, why_no_oracle
+from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy
+
+Floats = NDArray[np.float64]
+Values = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """What rankings of M senders are placed between: see xmarl_bench.metrics.budgeted_fidelity."""
+
+    delta: Floats  # (2^M, S, N) FidDelta of every row
+    random: Floats  # (M - 1,)
+    oracle: Floats  # (M - 1,)
+
+    @classmethod
+    def of(cls, change: Floats) -> Ranking:
+        delta = fid_delta_table(change)
+        return cls(delta, random_at_k(delta), oracle_at_k(delta))
+
+    def score(self, senders: NDArray[np.floating], noise: Floats) -> tuple[float, float]:
+        """(S, N, M) mask and noise -> FidDelta@k, mean over k, and budgeted fidelity."""
+        explained = fid_delta_at_k(self.delta, top_k_rows(senders, noise))
+        return _mean(explained), budgeted_fidelity(explained, self.random, self.oracle)
+
+
+@dataclass(frozen=True)
+class States:
+    """The states of one episode that are explained, and what does not depend on the mask.
+
+    Rankings are None where the policy or the team has no oracle; `renormalised` is for a GraphPolicy alone.
+    """
+
+    policy: Policy
+    observations: Tensor  # (S, N, D)
+    prepared: Any
+    full: ActionDistribution  # F(1)
+    noise: Floats  # (S, N, N): decides between equal values of a mask, the same for all explainers
+    all_edges: Ranking | None
+    communication: Ranking | None
+    renormalised: Ranking | None
+    oracle_mask: Tensor | None  # (S, N, N)
+
+    @classmethod
+    @torch.no_grad()
+    def of(cls, policy: Policy, observations: Tensor, rng: np.random.Generator) -> States:
+        n_steps, n_agents, _ = observations.shape
+        all_edges = communication = renormalised = oracle = None
+        if why_no_oracle(policy, n_agents) is None:
+            change = change_table(policy, observations)
+            all_edges, communication = Ranking.of(change), Ranking.of(others_table(change))
+            oracle = mask_of(best_rows(change), n_agents)
+            if isinstance(policy, GraphPolicy):
+                renormalised = Ranking.of(change_table(policy, observations, renormalised=True))
+        prepared = policy.prepare(observations)
+        return cls(
+            policy=policy,
+            observations=observations,
+            prepared=prepared,
+            full=policy.decode(prepared),
+            noise=rng.random((n_steps, n_agents, n_agents)),
+            all_edges=all_edges,
+            communication=communication,
+            renormalised=renormalised,
+            oracle_mask=oracle,
+        )
+
+    @torch.no_grad()
+    def mask_metrics(self, mask: Tensor) -> Values:
+        """Metrics of a mask (S, N, N), over the S timesteps together. What is not a number is None."""
+        own = torch.eye(mask.shape[-1]).expand_as(mask)
+        kept, dropped, heard, unheard = map(
+            self._decode,
+            (mask, 1.0 - mask, torch.maximum(mask, own), torch.maximum(1.0 - mask, own)),
+        )
+        fid, comm = self._fidelity(kept, dropped), self._fidelity(heard, unheard)
+        kl, comm_kl = self._kl(kept), self._kl(heard)
+        senders, noise = mask.numpy(), self.noise
+        top, budgeted = self._rank(self.all_edges, senders, noise, torch.zeros_like(own[0]))
+        comm_top, comm_budgeted = self._rank(
+            self.communication, other_senders(senders), other_senders(noise), own[0]
+        )
+        renorm_top, renorm_budgeted = (
+            (math.nan, math.nan) if self.renormalised is None else self.renormalised.score(senders, noise)
+        )
+        values = {
+            "fid_plus": fid.plus.mean(),
+            "fid_minus": fid.minus.mean(),
+            "fid_delta": fid.delta.mean(),
+            "gef": graph_explanation_unfaithfulness(kl).mean(),
+            "median_kl": np.median(kl),
+            "mask_mass": mask_mass(senders).mean(),
+            "topk_fid_delta": top,
+            "budgeted_fidelity": budgeted,
+            "comm_fid_plus": comm.plus.mean(),
+            "comm_fid_minus": comm.minus.mean(),
+            "comm_fid_delta": comm.delta.mean(),
+            "comm_gef": graph_explanation_unfaithfulness(comm_kl).mean(),
+            "comm_topk_fid_delta": comm_top,
+            "comm_budgeted_fidelity": comm_budgeted,
+            "renorm_topk_fid_delta": renorm_top,
+            "renorm_budgeted_fidelity": renorm_budgeted,
+        }
+        return {name: number(value) for name, value in values.items()}
+
+    @torch.no_grad()
+    def policy_metrics(self) -> Values:
+        """What is the policy's and no explainer's; None too where nothing attends."""
+        n_agents = self.observations.shape[1]
+        alone = self._decode(torch.eye(n_agents).repeat(len(self.observations), 1, 1))
+        values = {"communication_dependence": prediction_change(_action(self.full), _action(alone)).mean()}
+        try:
+            attention = self.policy.attention(self.observations).numpy()
+            values["attention_entropy"] = attention_entropy(attention).mean()
+            values["attention_distance"] = attention_distance(attention).mean()
+        except InputError:
+            values["attention_entropy"] = values["attention_distance"] = math.nan
+        return {name: number(value) for name, value in values.items()}
+
+    def _decode(self, mask: Tensor) -> ActionDistribution:
+        """One mask at a time: in a batch of another size F(1) would not be F(1) to the bit."""
+        return self.policy.decode(self.prepared, mask)
+
+    def _fidelity(self, kept: ActionDistribution, dropped: ActionDistribution) -> Fidelity:
+        return fidelity(_action(self.full), _action(kept), _action(dropped))
+
+    def _kl(self, kept: ActionDistribution) -> Floats:
+        full = self.full
+        return kl_divergence(full.loc.numpy(), full.scale.numpy(), kept.loc.numpy(), kept.scale.numpy())
+
+    def _rank(
+        self, ranking: Ranking | None, senders: NDArray[np.floating], noise: Floats, always: Tensor
+    ) -> tuple[float, float]:
+        """FidDelta@k and budgeted fidelity; without a table the first alone, by decoding each mask.
+
+        always: (N, N), edges kept in subgraph and complement.
+        """
+        if ranking is not None:
+            return ranking.score(senders, noise)
+        n_senders = senders.shape[-1]
+        rows = torch.from_numpy(top_k_rows(senders, noise))  # (K, S, N)
+        bits = ((rows[..., None] >> torch.arange(n_senders)) & 1).float()
+        explained = []
+        for top in bits:
+            mask = always.repeat(len(top), 1, 1)
+            mask[:, ~always.bool()] = top.reshape(len(top), -1)
+            other = torch.maximum(1.0 - mask, always)
+            explained.append(self._fidelity(self._decode(mask), self._decode(other)).delta.mean())
+        return _mean(np.array(explained)), math.nan
+
+
+def number(value: float) -> float | None:
+    """JSON has no NaN: what is not a finite number is None, and is counted as `n_nan` further on."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if values.size else math.nan
+
+
+def _action(distribution: ActionDistribution) -> NDArray[np.float32]:
+    return np.asarray(distribution.action.numpy())

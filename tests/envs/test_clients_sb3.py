@@ -41,6 +41,11 @@ class LoneAgentEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return observations[agent], rewards[agent], terminations[agent], truncations[agent], infos[agent]
 
 
+def straight(observation: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Navigation, (entries, 2): fly to the goal, for episodes to end at different times."""
+    return np.clip(-4 * observation[:, 4:6] - 2 * observation[:, 2:4] + 0.1 * noise, -1, 1)
+
+
 def test_the_peer_is_what_sb3_asks_for() -> None:
     check_env(LoneAgentEnv("blind_navigation_v0", 20))
 
@@ -62,8 +67,8 @@ def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str) -> None:
         for _ in range(100):
             np.testing.assert_array_equal(observation, expected)
             action = rng.uniform(-1, 1, (6, 2)).astype(np.float32)
-            if name == "blind_navigation_v0":  # fly to the goal, for episodes to end at different times
-                action = np.clip(-4 * observation[:, 4:6] - 2 * observation[:, 2:4] + 0.1 * action, -1, 1)
+            if name == "blind_navigation_v0":
+                action = straight(observation, action)
             expected, expected_reward, expected_done, expected_infos = peer.step(action)
             observation, reward, done, infos = ours.step(action)
             for mine, other in ((reward, expected_reward), (done, expected_done)):
@@ -82,14 +87,17 @@ def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str) -> None:
 
 @tasks
 def test_entries_are_the_agents_of_one_team_after_the_other(name: str) -> None:
-    env = AgentVecEnv(make_task(name, 3), 4, seed=20, max_cycles=8)
-    teams = [TaskParallelEnv(make_task(name, 3), 8) for _ in range(4)]
+    env = AgentVecEnv(make_task(name, 3), 4, seed=20, max_cycles=45)
+    teams = [TaskParallelEnv(make_task(name, 3), 45) for _ in range(4)]
+    ends: list[list[bool]] = []
     observation: Any = env.reset()
     expected = [team.reset(seed=20 + k)[0] for k, team in enumerate(teams)]
     rng = np.random.default_rng(1)
-    for _ in range(20):
+    for _ in range(100):
         np.testing.assert_array_equal(observation, [seen for team in expected for seen in team.values()])
         action = rng.uniform(-1, 1, (4, 3, 2)).astype(np.float32)
+        if name == "blind_navigation_v0":
+            action = straight(observation, action.reshape(12, 2)).reshape(4, 3, 2)
         observation, reward, done, infos = env.step(action.reshape(12, 2))
         for k, team in enumerate(teams):
             seen, rewards, terminated, truncated, info = team.step(
@@ -106,6 +114,10 @@ def test_entries_are_the_agents_of_one_team_after_the_other(name: str) -> None:
                     np.testing.assert_array_equal(infos[entry]["terminal_observation"], seen[agent])
                     assert infos[entry]["is_success"] == info[agent][team.task.success_key]
             expected[k] = team.reset()[0] if over else seen
+        ends.append(done[::3].tolist())
+    assert all(any(ended[k] for ended in ends) for k in range(4))
+    if name == "blind_navigation_v0":
+        assert any(any(ended) and not all(ended) for ended in ends)  # each team in its own time
 
 
 def test_ppo_learns_a_little_with_shared_parameters() -> None:

@@ -1,0 +1,60 @@
+"""Gradient: how fast the action moves when one message is turned down.
+
+Paper: Simonyan et al., "Deep Inside Convolutional Networks" (ICLR workshop 2014), for inputs; here, as in
+PyG's and Captum's edge masks, for the factor on each message. Formula:
+
+    a_ij = d e_i(m) / d m_ij  at m = 1,
+
+e_i the effect of xmarl_bench.effect: how far agent i's action has moved along what all messages do to it.
+In a policy of several layers the sum of e over all agents is differentiated.
+
+Departures: signed, where saliency takes absolute values; the mask is 0.5 + a / (2 max |a|) over the row, so
+it keeps order and sign. Since the factor is 1, this is gradient times input too."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from xmarl_baselines.batching import chunks
+from xmarl_baselines.frozen_policy import frozen
+from xmarl_bench.effect import effect_direction, signed_to_unit
+from xmarl_bench.explainer import Explainer
+from xmarl_bench.policy import Policy
+
+NORMALISER = "0.5 + a / (2 max |a|) over the row"
+
+
+def gradient_at(policy: Policy, observations: Tensor, levels: list[float]) -> Tensor:
+    """One chunk: (S, N, D) -> (S, N, N), the mean over `levels` of the gradient at m = level everywhere."""
+    n_steps, n_agents, _ = observations.shape
+    with torch.no_grad():
+        prepared = policy.prepare(observations)
+    direction = effect_direction(policy, prepared, n_steps, n_agents)
+    total = observations.new_zeros(n_steps, n_agents, n_agents)
+    for level in levels:
+        with torch.enable_grad():
+            mask = torch.full_like(total, level, requires_grad=True)
+            effect = (policy.decode(prepared, mask).action * direction).sum()
+            total += torch.autograd.grad(effect, mask)[0]
+    return total / len(levels)
+
+
+def gradient_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N)."""
+    n_steps, n_agents, _ = observations.shape
+    policy = frozen(policy)
+    return torch.cat(
+        [
+            signed_to_unit(gradient_at(policy, observations[steps], [1.0]))
+            for steps in chunks(n_steps, n_agents)
+        ]
+    )
+
+
+gradient = Explainer(
+    "gradient",
+    gradient_mask,
+    "gradient of each agent's action along what messages do to it",
+    hyperparameters={"normaliser": NORMALISER},
+)

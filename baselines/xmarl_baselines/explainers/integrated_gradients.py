@@ -1,0 +1,51 @@
+"""Integrated gradients of the factors on messages, from all dropped to all kept.
+
+Paper: Sundararajan, Taly and Yan, "Axiomatic Attribution for Deep Networks" (ICML 2017). Formula:
+
+    a_ij = integral over t in [0, 1] of  d e_i(m) / d m_ij  at m = t,
+
+e_i the effect of xmarl_bench.effect, by the midpoint rule. A row sums to e_i(1) = d_i(0), what removing all
+messages changes, up to the rule's error (completeness; a test holds it). In a policy of several layers the
+sum of e over all agents is integrated, and all rows together sum to its value.
+
+Departures: the mask is 0.5 + a / (2 max |a|) over the row, so it keeps order and sign.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from xmarl_baselines.batching import chunks
+from xmarl_baselines.explainers.gradient import NORMALISER, gradient_at
+from xmarl_baselines.frozen_policy import frozen
+from xmarl_bench.effect import signed_to_unit
+from xmarl_bench.explainer import Explainer
+from xmarl_bench.policy import Policy
+
+POINTS = 32
+
+
+def midpoints(n: int) -> list[float]:
+    """The middles of n equal stretches of [0, 1]."""
+    return [(k + 0.5) / n for k in range(n)]
+
+
+def integrated_gradients_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N)."""
+    n_steps, n_agents, _ = observations.shape
+    policy = frozen(policy)
+    return torch.cat(
+        [
+            signed_to_unit(gradient_at(policy, observations[steps], midpoints(POINTS)))
+            for steps in chunks(n_steps, n_agents)
+        ]
+    )
+
+
+integrated_gradients = Explainer(
+    "integrated_gradients",
+    integrated_gradients_mask,
+    "gradients integrated from no message to all messages",
+    hyperparameters={"points": POINTS, "rule": "midpoint", "normaliser": NORMALISER},
+)

@@ -1,0 +1,61 @@
+"""Occlusion: leave one message out and see how far the action moves.
+
+Paper: Zeiler and Fergus, "Visualizing and Understanding Convolutional Networks" (ECCV 2014), for image
+patches. Formula: a_ij = d_i(1 without j -> i), the mean over action entries of |F_i(1) - F_i(m)| where m
+keeps everything but that message. In a policy of several layers, the sum of d over all agents.
+
+Departures: messages instead of patches; the mask is a / max a over the row. Redundant messages all come out
+as 0, for each alone changes nothing."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from xmarl_baselines.batching import chunks
+from xmarl_baselines.frozen_policy import frozen
+from xmarl_bench.effect import share_of_largest
+from xmarl_bench.explainer import Explainer
+from xmarl_bench.policy import Policy
+
+
+def changes_without(policy: Policy, observations: Tensor) -> Tensor:
+    """One chunk: (S, N, D) -> (S, N, N), the change of action without the message on each edge."""
+    n_steps, n_agents, _ = observations.shape
+    prepared = policy.prepare(observations)
+    full = policy.decode(prepared).action
+    change = observations.new_empty(n_steps, n_agents, n_agents)
+    for j in range(n_agents):
+        if policy.row_wise:  # all receivers at once, for none sees what another hears
+            change[:, :, j] = _change(policy, prepared, full, (slice(None), j))
+        else:
+            for i in range(n_agents):
+                change[:, i, j] = _change(policy, prepared, full, (i, j)).sum(dim=-1)
+    return change
+
+
+def _change(policy: Policy, prepared: object, full: Tensor, edges: tuple[int | slice, int]) -> Tensor:
+    mask = full.new_ones(len(full), full.shape[1], full.shape[1])
+    mask[(slice(None), *edges)] = 0.0
+    return (full - policy.decode(prepared, mask).action).abs().mean(dim=-1)
+
+
+def occlusion_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N)."""
+    n_steps, n_agents, _ = observations.shape
+    policy = frozen(policy)
+    with torch.no_grad():
+        return torch.cat(
+            [
+                share_of_largest(changes_without(policy, observations[steps]))
+                for steps in chunks(n_steps, n_agents)
+            ]
+        )
+
+
+occlusion = Explainer(
+    "occlusion",
+    occlusion_mask,
+    "how far the action moves without each message",
+    hyperparameters={"normaliser": "a / max a over the row"},
+)

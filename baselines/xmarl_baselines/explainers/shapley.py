@@ -1,0 +1,109 @@
+"""Shapley values of messages: each one's share of what all messages do to the action.
+
+Paper: Shapley (1953); for explanations Lundberg and Lee, "A Unified Approach to Interpreting Model
+Predictions" (NeurIPS 2017); sampling after Castro et al. (2009). The game of agent i has the senders j as
+players and
+
+    v_i(K) = d_i(nothing) - d_i(K kept),     a_ij = mean over orders of v_i(those before j, and j)
+                                                    - v_i(those before j),
+
+with d_i the mean absolute change of the action, as in the fidelities. A row sums to d_i(nothing)
+(efficiency). FidDelta, d_i(rest) - d_i(K), is a game with twice these values: this one plus its dual.
+
+Exact where the oracle's table of all 2^N rows exists (one message-passing layer, N <= 10). Otherwise 32
+random orders per timestep and receiver, every second the reverse of the one before, which cancels much of
+the noise; efficiency stays exact. In a policy of several layers all N^2 edges are the players of one game,
+with the sum of v over agents; for a single layer that has the same values, row by row.
+
+Departures: the mask is 0.5 + a / (2 max |a|) over the row, so it keeps order and sign.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from xmarl_baselines.batching import chunks, timestep_seeds
+from xmarl_baselines.explainers.gradient import NORMALISER
+from xmarl_baselines.frozen_policy import frozen
+from xmarl_bench.effect import signed_to_unit
+from xmarl_bench.explainer import Explainer
+from xmarl_bench.oracle import change_table, why_no_oracle
+from xmarl_bench.policy import Policy
+
+PAIRS = 16  # of an order and its reverse
+
+
+def exact_values(change: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(2^N, S, N) changes d of every binary row (xmarl_bench.oracle) -> (S, N, N)."""
+    n_rows, n_steps, n_agents = change.shape
+    row = np.arange(n_rows)
+    size = np.bitwise_count(row)
+    weight = np.array([1 / (n_agents * math.comb(n_agents - 1, k)) for k in range(n_agents)])
+    values = np.empty((n_steps, n_agents, n_agents))
+    for j in range(n_agents):
+        without = row[(row >> j & 1) == 0]
+        values[:, :, j] = np.tensordot(weight[size[without]], change[without] - change[without | 1 << j], 1)
+    return values
+
+
+def sampled_values(policy: Policy, observations: Tensor, seeds: list[int], pairs: int) -> Tensor:
+    """One chunk: (S, N, D), a seed per timestep -> (S, N, N), the mean over 2 * pairs orders."""
+    n_steps, n_agents, _ = observations.shape
+    # Games side by side, and players of each: rows of the mask, or the whole mask.
+    games, players = (n_agents, n_agents) if policy.row_wise else (1, n_agents**2)
+    prepared = policy.prepare(observations)
+    full = policy.decode(prepared).action
+
+    def change(kept: Tensor) -> Tensor:
+        action = policy.decode(prepared, kept.view(n_steps, n_agents, n_agents)).action
+        return (full - action).abs().mean(dim=-1).view(n_steps, games, -1).sum(dim=-1)  # (S, games)
+
+    silent = change(full.new_zeros(n_steps, games, players))
+    values = full.new_zeros(n_steps, games, players)
+    for order in _orders(seeds, pairs, games, players):
+        kept, before = torch.zeros_like(values), silent
+        for j in order.split(1, dim=-1):
+            kept = kept.scatter(-1, j, 1.0)
+            after = change(kept)
+            values.scatter_add_(-1, j, (before - after)[..., None])
+            before = after
+    return values.view(n_steps, n_agents, n_agents) / (2 * pairs)
+
+
+def _orders(seeds: list[int], pairs: int, games: int, players: int) -> Tensor:
+    """(2 * pairs, S, games, players), each order followed by its reverse."""
+    noise = [
+        torch.rand(pairs, games, players, generator=torch.Generator().manual_seed(seed)) for seed in seeds
+    ]
+    forward = torch.stack(noise, dim=1).argsort(dim=-1)
+    return torch.stack([forward, forward.flip(-1)], dim=1).flatten(0, 1)
+
+
+def shapley_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N)."""
+    n_steps, n_agents, _ = observations.shape
+    policy, seeds = frozen(policy), timestep_seeds(n_steps, generator)
+    exact = why_no_oracle(policy, n_agents) is None
+    masks = []
+    with torch.no_grad():
+        for steps in chunks(n_steps, n_agents):
+            if exact:
+                values = torch.from_numpy(exact_values(change_table(policy, observations[steps])))
+            else:
+                values = sampled_values(policy, observations[steps], seeds[steps], PAIRS)
+            masks.append(signed_to_unit(values).float())
+    return torch.cat(masks)
+
+
+shapley = Explainer(
+    "shapley",
+    shapley_mask,
+    "Shapley values of messages, exact up to 10 agents",
+    stochastic=True,  # above 10 agents or in several layers
+    hyperparameters={"exact_up_to": 10, "orders": 2 * PAIRS, "normaliser": NORMALISER},
+)

@@ -97,6 +97,16 @@ def test_truncation_ends_the_episode_and_later_steps_return_nothing() -> None:
     assert env.agents == env.possible_agents
 
 
+def test_seeds_that_are_none_are_refused_and_the_environment_goes_on() -> None:
+    env = TaskParallelEnv(make_task("blind_navigation_v0"))
+    with pytest.raises(ValueError, match="a seed must be a whole number from 0 on, got -1"):
+        env.reset(seed=-1)
+    with pytest.raises(TypeError, match="float"):
+        env.reset(seed=1.5)  # type: ignore[arg-type]
+    assert env.reset()[0].keys() == set(env.possible_agents)
+    assert env.reset(seed=np.int64(3))[0].keys() == set(env.possible_agents)  # type: ignore[arg-type]
+
+
 def test_a_row_of_unseeded_resets_repeats_after_a_seed() -> None:
     env = TaskParallelEnv(make_task("blind_navigation_v0"))
     rows = []

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from gymnasium import spaces
+from mpe2 import simple_spread_v3
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 from xmarl_envs import (
@@ -98,6 +99,10 @@ class Pursuit(ParallelEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]
 
 def test_an_environment_that_is_no_task_of_ours_conforms() -> None:
     check_task(Pursuit, max_cycles=30)
+
+
+def test_a_published_environment_conforms() -> None:
+    check_task(simple_spread_v3.parallel_env, N=2, max_cycles=25)
 
 
 @dataclass(frozen=True)

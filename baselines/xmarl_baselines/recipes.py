@@ -94,15 +94,14 @@ RECIPES: dict[str, Recipe] = {
             "decoder": (256, 256), "decoder_activation": "tanh",
         },
         critic=(128, 128),
-        frames=1_080_000,
+        frames=3_006_000,
         n_envs=120,
         n_steps=150,
         n_epochs=4,
         batch_size=400,
         learning_rate=7e-4,
         distance_attention=2.5,
-        ent_coef=0.0,
-        noise_penalty=0.05,  # agents that wait for each other part by noise, and need not learn to
+        ent_coef=-0.02,  # less noise: agents that wait for each other part by noise, and need not learn to
         shaping=Shaping(
             proximity_penalty=0.0375,
             proximity_range=0.15,
@@ -111,7 +110,7 @@ RECIPES: dict[str, Recipe] = {
             arrival_bonus=2.0,
             time_penalty=0.02,
         ),
-        caution_growth=1.5,
+        caution_growth=0.3,
         enough_success=0.96,
         care=0.5,
     ),

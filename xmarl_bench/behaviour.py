@@ -31,7 +31,7 @@ from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout import Episode, play
 from xmarl_bench.states import Values, number
 
-BLOCK = 25  # episodes
+BLOCK = 50  # episodes: those of the protocol, in one go
 SMALLEST_TEAM = 3  # with fewer there are no two messages to choose between
 
 

@@ -33,7 +33,7 @@ DEFINITIONS: dict[str, str] = {
     "weight_randomisation": "rank correlation of the mask with that of the policy whose parameter tensors "
     "have their entries shuffled",
     "rank correlation": "Spearman's, of senders within each row, pooled over rows and timesteps; on the "
-    "first 10 episodes and at most 10 timesteps of each",
+    "first 5 episodes and at most 20 timesteps of each",
     "success_on_explanation": "success_rate where the team communicates only along the k = floor((N - 1) / "
     "2) highest messages of each row of the explanation of its own states; own edges are kept",
     "success_on_complement": "the same, communicating only along the other messages",

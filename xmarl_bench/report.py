@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from xmarl_envs import TASKS
 
-from xmarl_bench.board import board_of
+from xmarl_bench.board import ORDER, board_of
 from xmarl_bench.entry import Entry
 from xmarl_bench.evaluation import Performance
 from xmarl_bench.explainer import Explainer
@@ -18,6 +18,19 @@ from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.registry import explainer_names, find_explainer, find_policies
 
 Row = dict[str, Any]
+# Heading -> metric; "" is the interval of the metric that rows are ordered by.
+SCORE_COLUMNS = {
+    "comm. budgeted": "comm_budgeted_fidelity",
+    "95 %": "",
+    "budgeted": "budgeted_fidelity",
+    "Fid+": "fid_plus",
+    "Fid-": "fid_minus",
+    "FidDelta": "fid_delta",
+    "GEF": "gef",
+    "mass": "mask_mass",
+    "success on it": "success_on_explanation",
+    "on the rest": "success_on_complement",
+}
 
 
 def tasks() -> list[Row]:
@@ -127,25 +140,36 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
             else f"{protocol['timesteps']} timesteps of each"
         )
         shown = Table(
-            "policy", "explainer",
+            "policy and explainer",
             title=f"{table['task']}, {table['n_agents']} agents: {protocol['episodes']} episodes, {steps}",
             title_justify="left",
         )  # fmt: skip
-        for heading in ("Fid+", "Fid-", "FidDelta", "95 %", "GEF", "median KL", "mass"):
+        for heading in SCORE_COLUMNS:
             shown.add_column(heading, justify="right")
         for group in table["policies"]:
+            gate = "" if group["gate"] is None else f", not ranked: {group['gate']}"
+            shown.add_row(f"[bold]{group['name']}[/bold]{gate}")
             for row in group["rows"]:
                 metrics = row["metrics"]
-                low_high = metrics["fid_delta"]["interval"]
+                order = metrics[ORDER["by"]]
+                low_high = None if order is None else order["interval"]
+                numbers = [_number(metrics[name]) for name in SCORE_COLUMNS.values() if name]
                 shown.add_row(
-                    group["name"],
-                    row["explainer"] + (" (control)" if row["control"] else ""),
-                    *(_number(metrics[name]) for name in ("fid_plus", "fid_minus", "fid_delta")),
-                    "-" if low_high is None else f"{low_high[0]:.3f} {low_high[1]:.3f}",
-                    *(_number(metrics[name]) for name in ("gef", "median_kl", "mask_mass")),
+                    "  " + row["explainer"] + (" (control)" if row["control"] else ""),
+                    numbers[0],
+                    "-" if low_high is None else f"{low_high[0]:.2f} {low_high[1]:.2f}",
+                    *numbers[1:],
                 )
             shown.add_section()
         console.print(shown)
+    for entry in entries:
+        cost, timesteps = entry.cost, entry.cost.explained_timesteps
+        print(
+            f"{entry.policy.name}, {entry.explainer.name}: {timesteps} timesteps explained in "
+            f"{cost.explain_seconds_per_timestep * timesteps:.1f} s, acted on in "
+            f"{cost.behaviour_seconds:.1f} s; oracle and controls, once per policy, "
+            f"{cost.shared_seconds_per_timestep * timesteps:.1f} s."
+        )
     slow = [explainer.name for explainer in used if explainer.slow]
     limited = [entry.protocol for entry in entries if entry.explainer.name in slow]
     if limited and any(entry.protocol != limited[0] for entry in entries):
@@ -157,7 +181,9 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
         )
 
 
-def _number(summary: dict[str, Any]) -> str:
+def _number(summary: dict[str, Any] | None) -> str:
+    if summary is None:
+        return "-"
     text = "NaN" if summary["value"] is None else f"{summary['value']:.3f}"
     return text + (f" ({summary['n_nan']} NaN)" if summary["n_nan"] and summary["value"] is not None else "")
 

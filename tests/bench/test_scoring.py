@@ -32,22 +32,22 @@ def bytes_of(entry: Entry) -> bytes:
 def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make_bundle: MakeBundle) -> None:
     folder = make_bundle(task)
     runs = [
-        score(folder, "random", episodes=5, max_cycles=30, parallel_episodes=width)
+        score(folder, "random", episodes=3, max_cycles=20, parallel_episodes=width)
         for width in (50, 50, 1, 2)
     ]
     assert len({bytes_of(entry) for entry in runs}) == 1
-    assert runs[0].results[0].episodes[0].timesteps == 30
+    assert runs[0].results[0].episodes[0].timesteps == 20
 
 
 def test_one_and_two_processes_write_the_same_bytes(make_bundle: MakeBundle) -> None:
     policies = [load_policy(make_bundle(task, name=task)) for task in sorted(TASKS)]
-    fast, few = Sampling(episodes=4, max_cycles=25), Sampling(episodes=2, timesteps=1, max_cycles=25)
+    fast, few = Sampling(episodes=4, max_cycles=15), Sampling(episodes=2, timesteps=1, max_cycles=15)
     requests = [
         Request(policy, card, find_explainer("attention"), (Cell(card.task, 3),), fast)
         for policy, card in policies
     ]
     requests += [
-        Request(*policies[0], find_explainer(name), requests[0].cells, few)
+        Request(*policies[0], find_explainer(name), requests[0].cells, few, behaviour_episodes=0)
         for name in ("gnn_explainer", "graphmask-pyg")
     ]
     one = [bytes_of(entry) for entry in score_requests(requests, jobs=1)]

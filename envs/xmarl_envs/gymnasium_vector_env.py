@@ -44,8 +44,8 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, Array, NDArray[Any]]):
     entry are those that `TaskParallelEnv.reset(seed=s + k)` and its later `reset()` without a seed play.
     `reset(options={"reset_mask": mask})` begins the entries of a (num_envs,) bool mask only.
 
-    copies_per_space: 1, and an episode depends on nothing but its seed and actions, to the bit; 64 steps
-    about ten times faster, and equals that to rounding until somebody is touched. See `VectorEnv`.
+    copies_per_space: 1, and an episode depends on nothing but its seed and actions, to the bit; 64 steps much
+    faster, for training, and equals that to rounding until somebody is touched. See `VectorEnv`.
     """
 
     def __init__(

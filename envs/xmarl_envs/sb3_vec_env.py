@@ -68,8 +68,8 @@ class AgentVecEnv(OneObjectVecEnv):
     `seed(s)` (or `PPO(seed=s)`, or `seed=s` here) makes team k play from the next `reset()` on the episodes
     that `TaskParallelEnv.reset(seed=s + k)` and its later `reset()` without a seed play.
 
-    copies_per_space: 1, and an episode depends on nothing but its seed and actions, to the bit; 64 steps
-    about ten times faster, and equals that to rounding until somebody is touched. See `VectorEnv`.
+    copies_per_space: 1, and an episode depends on nothing but its seed and actions, to the bit; 64 steps much
+    faster, for training, and equals that to rounding until somebody is touched. See `VectorEnv`.
     """
 
     def __init__(

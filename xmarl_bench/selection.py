@@ -10,6 +10,7 @@ from xmarl_bench.controls import CONTROLS
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy, PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.recording import TEAMS
 from xmarl_bench.registry import (
     FoundExplainer,
     check_task,
@@ -76,6 +77,22 @@ def select_explainers(names: Sequence[str]) -> list[FoundExplainer]:
     """`all` leaves controls out, for every entry carries them."""
     everything = [name for name in explainer_names() if name not in CONTROLS]
     return [find_explainer(name) for name in (everything if ALL in names else dict.fromkeys(names))]
+
+
+def select_team(policy: str, task: str | None, agents: int | None) -> tuple[GraphPolicy | None, str, Cell]:
+    """A policy (None for the teams that need none), its name and its cell; `None`s are the policy's own.
+
+    Raises InputError where nothing says which task, for unknown names and for cells that do not fit.
+    """
+    if policy in TEAMS:
+        if task is None:
+            raise InputError(
+                f"the team {policy!r} plays any task: choose one of {', '.join(TASKS)}, or choose a policy."
+            )
+        return None, policy, Cell(task, 3 if agents is None else agents)
+    sizes = [ALL if agents is None else str(agents)]
+    ((network, card, (cell,)),) = select_policies([policy], [task or ALL], sizes)
+    return network, card.name, cell
 
 
 def plan(

@@ -17,37 +17,50 @@ GRID_SPACING = 0.5  # m
 
 
 class Canvas:
-    """A square of the plane around the origin, with a header of text above it.
+    """A square of the plane around `centre`, with a header of text above it.
 
     Coordinates and lengths are metres, y up; widths of lines and sizes of fonts are pixels of the picture.
     """
 
-    def __init__(self, half_width: float) -> None:
+    def __init__(self, half_width: float, size: int = SIZE, header: int = HEADER) -> None:
         pygame.font.init()  # pictures need fonts and no display: servers without a screen draw too
         self.half_width = half_width
-        size = (OVERSAMPLING * SIZE, OVERSAMPLING * (SIZE + HEADER))
-        self._surface = pygame.Surface(size)
-        self._overlay = pygame.Surface(size, pygame.SRCALPHA)
+        self.centre: Floats = np.zeros(2)
+        self._size, self._header = size, header
+        pixels = (OVERSAMPLING * size, OVERSAMPLING * (size + header))
+        self._surface = pygame.Surface(pixels)
+        self._overlay = pygame.Surface(pixels, pygame.SRCALPHA)
         self._fonts: dict[int, pygame.font.Font] = {}
 
     def clear(self) -> None:
         self._surface.fill(PAPER)
+
+    def grid(self) -> None:
         for k in range(-int(self.half_width / GRID_SPACING), int(self.half_width / GRID_SPACING) + 1):
             at, reach = k * GRID_SPACING, self.half_width
             self.line(np.array([[at, -reach], [at, reach]]), GRID, 1)
             self.line(np.array([[-reach, at], [reach, at]]), GRID, 1)
 
     def picture(self) -> pygame.Surface:
-        """(SIZE, HEADER + SIZE) pixels."""
-        return pygame.transform.smoothscale(self._surface, (SIZE, SIZE + HEADER))
+        """(size, header + size) pixels."""
+        return pygame.transform.smoothscale(self._surface, (self._size, self._size + self._header))
+
+    def paste(self, other: Canvas, right: bool, top: bool, colour: Colour) -> None:
+        """Another canvas, framed, into a corner of the world."""
+        margin, size = 10 * OVERSAMPLING, OVERSAMPLING * self._size
+        place = other._surface.get_rect()
+        place.x = size - margin - place.width if right else margin
+        place.y = OVERSAMPLING * self._header + (margin if top else size - margin - place.height)
+        self._surface.blit(other._surface, place)
+        pygame.draw.rect(self._surface, colour, place, OVERSAMPLING)
 
     def pixels(self, metres: float) -> float:
         """A length in pixels of the picture."""
-        return metres / self.half_width * SIZE / 2
+        return metres / self.half_width * self._size / 2
 
     def metres(self, pixels: float) -> float:
         """A length in the world of so many pixels of the picture."""
-        return pixels * 2 * self.half_width / SIZE
+        return pixels * 2 * self.half_width / self._size
 
     def disc(self, centre: Floats, radius: float, colour: Colour) -> None:
         pygame.draw.circle(self._surface, colour, self._at(centre), self._length(radius))
@@ -97,21 +110,17 @@ class Canvas:
         image = self._font(size).render(text, True, colour)
         self._surface.blit(image, image.get_rect(center=self._at(centre)))
 
-    def header(self, line: int, text: str, size: float, right: bool = False) -> int:
-        """Text in line 0 or 1 above the world, at the left or right margin; returns its width in pixels."""
+    def header(self, line: int, text: str, size: float) -> None:
+        """Text in line 0 or 1 above the world, smaller where it would not fit."""
+        margin, middle = 12 * OVERSAMPLING, round((0.28 + 0.44 * line) * self._header * OVERSAMPLING)
+        room = OVERSAMPLING * self._size - 2 * margin
+        size *= min(1.0, room / self._font(size).size(text)[0])
         image = self._font(size).render(text, True, INK)
-        margin, middle = 12 * OVERSAMPLING, round((0.28 + 0.44 * line) * HEADER * OVERSAMPLING)
-        place = image.get_rect(centery=middle)
-        if right:
-            place.right = OVERSAMPLING * SIZE - margin
-        else:
-            place.left = margin
-        self._surface.blit(image, place)
-        return int(image.get_width() / OVERSAMPLING)
+        self._surface.blit(image, image.get_rect(left=margin, centery=middle))
 
     def clear_header(self) -> None:
         """What was drawn beyond the world's upper edge does not show."""
-        self._surface.fill(PAPER, pygame.Rect(0, 0, OVERSAMPLING * SIZE, OVERSAMPLING * HEADER))
+        self._surface.fill(PAPER, pygame.Rect(0, 0, OVERSAMPLING * self._size, OVERSAMPLING * self._header))
 
     def _font(self, size: float) -> pygame.font.Font:
         pixels = round(OVERSAMPLING * size)
@@ -120,9 +129,9 @@ class Canvas:
         return self._fonts[pixels]
 
     def _at(self, point: Floats) -> tuple[int, int]:
-        x, y = np.clip(point / self.half_width, -4.0, 4.0)
-        size = OVERSAMPLING * SIZE
-        return round(size * (0.5 + 0.5 * x)), round(size * (0.5 - 0.5 * y)) + OVERSAMPLING * HEADER
+        x, y = np.clip((point - self.centre) / self.half_width, -4.0, 4.0)
+        size = OVERSAMPLING * self._size
+        return round(size * (0.5 + 0.5 * x)), round(size * (0.5 - 0.5 * y)) + OVERSAMPLING * self._header
 
     def _length(self, metres: float) -> int:
         return max(1, round(OVERSAMPLING * self.pixels(metres)))

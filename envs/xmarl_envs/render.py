@@ -11,17 +11,17 @@ import pygame
 from numpy.typing import ArrayLike, NDArray
 
 from xmarl_envs.canvas import Canvas
-from xmarl_envs.colours import FAINT, INK, NEAR, PAPER, WALL, Colour, agent_colours, mix, readable_on
+from xmarl_envs.colours import FAINT, INK, NEAR, PAPER, WALL, mix
 from xmarl_envs.scene import Scene
 from xmarl_envs.task import Floats, Task
+from xmarl_envs.team_painter import TeamPainter
 
 FPS = 20  # of a window: twice real time
 ZOOM = 1.25  # a team that leaves the picture makes it wider by this factor, as often as needed
 FADING = 60  # cycles after which a trail is at its faintest
 FADES = 6  # stretches of a trail, each of one tint
-SMALL = 7.5  # pixels; the number of a smaller agent stands beside it
-FAINTEST = 0.05  # masks below it are not drawn; at 64 agents there are 4096
-LEGEND = (0.1, 0.5, 1.0)
+LENS = 240  # pixels, width of the square that shows a huddle larger ...
+LEAST_MAGNIFIED = 1.3  # ... by this factor or more, or not at all
 
 
 class Renderer:
@@ -36,9 +36,10 @@ class Renderer:
 
     def __init__(self, task: Task, window: bool = False, reach: float = 0.0) -> None:
         self._task = task
-        self._colours = agent_colours(task.n_agents)
+        self._team = TeamPainter(task)
         self._canvas = Canvas(1.06 * (task.bound or task.spawn_half_width) + task.radius)
         self._usual, self._reach = self._canvas.half_width, reach
+        self._lens = Canvas(1.0, LENS, header=0)
         self._window = window
         self._screen: pygame.Surface | None = None
         self._clock = pygame.time.Clock()
@@ -80,6 +81,7 @@ class Renderer:
             while canvas.half_width < reach:
                 canvas.half_width *= ZOOM
         canvas.clear()
+        canvas.grid()
         self._draw_targets(scene.targets)
         for i in range(task.n_agents):
             self._draw_trail(scene.track[:, i], i)
@@ -88,30 +90,40 @@ class Renderer:
         if task.bound is not None:
             canvas.frame(task.bound + task.radius, FAINT)  # where surfaces stop; `bound` is where centres do
         canvas.clear_header()
-        for centre in now[scene.collided]:
-            self._draw_star(centre)
-        if mask is not None:
-            self._draw_mask(now, mask)
-            self._draw_legend()
-            canvas.blend()
-        for i, centre in enumerate(now):
-            canvas.disc(centre, task.radius, INK)
-            canvas.disc(centre, task.radius - canvas.metres(1), self._colours[i])
-            self._draw_number(centre, i, readable_on(self._colours[i]))
+        self._team.draw(canvas, now, scene.collided, mask)
         plural = "s" if task.n_agents > 1 else ""
         canvas.header(0, title or f"{task.name}, {task.n_agents} agent{plural}", 22)
         canvas.header(1, _status(scene), 22)
+        if mask is not None:
+            self._team.draw_legend(canvas)
+            self._draw_lens(scene, mask)
         return canvas.picture()
+
+    def _draw_lens(self, scene: Scene, mask: Floats) -> None:
+        """A team in a huddle again, larger, in the corner that is farthest from everything."""
+        canvas, lens, now = self._canvas, self._lens, scene.track[-1]
+        lens.centre = (now.min(axis=0) + now.max(axis=0)) / 2
+        lens.half_width = float(np.ptp(now, axis=0).max()) / 2 + 2.2 * self._task.radius
+        if lens.pixels(1.0) < LEAST_MAGNIFIED * canvas.pixels(1.0):
+            return
+        lens.clear()
+        self._team.draw(lens, now, scene.collided, mask)
+        corners = [(right, top) for right in (True, False) for top in (True, False)]
+        everything = np.concatenate([now, scene.targets])
+        signs = np.where(corners, 1.0, -1.0) * canvas.half_width
+        room = np.linalg.norm(everything - signs[:, None], axis=-1).min(axis=1)
+        right, top = corners[int(room.argmax())]
+        canvas.paste(lens, right, top, INK)
 
     def _draw_targets(self, targets: Floats) -> None:
         """Goals in the colours of their agents; a landmark with the ranges it is sensed and covered in."""
-        task, canvas = self._task, self._canvas
+        task, canvas, colours = self._task, self._canvas, self._team.colours
         sensing, covering = (getattr(task, f"{verb}_range", None) for verb in ("sensing", "covering"))
         if sensing is None and covering is None and len(targets) == task.n_agents:
             for i, centre in enumerate(targets):
-                canvas.disc(centre, task.radius, mix(self._colours[i], PAPER, 0.85))
-                canvas.ring(centre, task.radius, self._colours[i], 3)
-                self._draw_number(centre, i, INK)
+                canvas.disc(centre, task.radius, mix(colours[i], PAPER, 0.85))
+                canvas.ring(centre, task.radius, colours[i], 3)
+                self._team.draw_number(canvas, centre, i, INK)
             return
         for centre in targets:
             if sensing is not None:
@@ -121,80 +133,13 @@ class Renderer:
             for slope in (1, -1):
                 canvas.line(centre + task.radius * np.array([[-1, -slope], [1, slope]]), INK, 4)
 
-    def _draw_number(self, centre: Floats, agent: int, colour: Colour) -> None:
-        radius = self._canvas.pixels(self._task.radius)
-        if radius >= SMALL:
-            self._canvas.label(centre, str(agent), float(np.clip(1.5 * radius, 13, 26)), colour)
-        else:  # beside a disc that it would hide
-            aside = self._canvas.metres(radius + 4)
-            self._canvas.label(centre + aside, str(agent), 13, INK)
-
     def _draw_trail(self, track: Floats, agent: int) -> None:
-        colour = self._colours[agent]
+        colour = self._team.colours[agent]
         edges = np.linspace(max(0, len(track) - 1 - FADING), len(track) - 1, FADES + 1).astype(int)
         for age, (start, end) in enumerate([(0, edges[0]), *pairwise(edges)]):
             if end > start:
                 tint = mix(PAPER, colour, 0.3 + 0.5 * age / FADES)
                 self._canvas.line(track[start : end + 1], tint, 2.5)
-
-    def _draw_star(self, centre: Floats) -> None:
-        """Spikes around who collides: a shape, for red alone is not seen by everybody."""
-        angle = np.arange(24) * np.pi / 12
-        radius = self._task.radius * np.where(np.arange(24) % 2, 1.1, 1.45)
-        self._canvas.polygon(
-            centre + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1), (214, 39, 40)
-        )
-
-    def _draw_mask(self, position: Floats, mask: Floats) -> None:
-        for k in np.argsort(mask, axis=None, kind="stable"):  # the largest are drawn last, above the others
-            receiver, sender = divmod(int(k), len(mask))
-            value = float(mask[receiver, sender])
-            if value < FAINTEST:
-                continue
-            if receiver == sender:
-                width = self._width(value)
-                radius = self._task.radius + self._canvas.metres(2 + width)
-                self._canvas.ring(position[receiver], radius, INK, width, _opacity(value))
-            else:
-                self._draw_arrow(position[sender], position[receiver], value, self._task.radius)
-
-    def _draw_arrow(self, start: Floats, end: Floats, value: float, gap: float) -> None:
-        """From disc to disc, beside the arrow that goes the other way."""
-        length = float(np.hypot(*(end - start)))
-        if length == 0.0:
-            return
-        along = (end - start) / length
-        aside = np.array([along[1], -along[0]])
-        pixel = self._canvas.metres(1)
-        half, head = self._width(value) / 2 * pixel, self._head(value) * pixel
-        gap = min(gap, 0.3 * length)
-        start, end = start + gap * along + head * aside, end - gap * along + head * aside
-        neck = end - min(2 * head, length - 2 * gap) * along
-        outline = [
-            start - half * aside, neck - half * aside, neck - head * aside, end,
-            neck + head * aside, neck + half * aside, start + half * aside,
-        ]  # fmt: skip
-        self._canvas.polygon(np.array(outline), INK, _opacity(value))
-
-    def _draw_legend(self) -> None:
-        canvas = self._canvas
-        pixel = canvas.metres(1)
-        y = canvas.half_width + 18 * pixel
-        for k, value in enumerate(LEGEND):
-            x = canvas.half_width - (210 - 74 * k) * pixel
-            on = y + self._head(value) * pixel  # arrows lie beside their line
-            self._draw_arrow(np.array([x, on]), np.array([x + 30 * pixel, on]), value, 0.0)
-            canvas.label(np.array([x + 46 * pixel, y]), f"{value:g}", 20, INK)
-
-    def _width(self, value: float) -> float:
-        """Pixels of an arrow or ring: less in large teams, and at most about an agent's radius."""
-        return 1.0 + value * min(
-            8.0, 1.5 + 30.0 / self._task.n_agents, self._canvas.pixels(self._task.radius)
-        )
-
-    def _head(self, value: float) -> float:
-        """Pixels from an arrow's middle to the side of its head."""
-        return self._width(value) / 2 + 5
 
     def _checked(self, mask: ArrayLike) -> Floats:
         values = np.asarray(mask, dtype=np.float64)
@@ -206,11 +151,6 @@ class Renderer:
                 f"a mask to draw must lie in [0, 1], got values from {values.min()} to {values.max()}."
             )
         return values
-
-
-def _opacity(value: float) -> float:
-    """Its square root: the attention of a large team is small everywhere, and still to be seen."""
-    return min(float(np.sqrt(value)), 0.999)  # 1 would be drawn below the translucent ones
 
 
 def _status(scene: Scene) -> str:

@@ -29,29 +29,36 @@ class Track:
 
     def __init__(self, state: State, episode: int = 0) -> None:
         self._episode = episode
-        self._positions = [state.position[episode].copy()]
         self._targets, self._walls = state.targets[episode].copy(), state.walls[episode].copy()
-        self._reward = self._total = 0.0
-        self._collided: Bools = np.zeros(state.position.shape[1], dtype=np.bool_)
+        self._positions = [state.position[episode].copy()]
+        self._rewards, self._totals = [0.0], [0.0]
+        self._collided: list[Bools] = [np.zeros(state.position.shape[1], dtype=np.bool_)]
         self._ended = ""
+
+    @property
+    def cycles(self) -> int:
+        """Steps so far."""
+        return len(self._positions) - 1
 
     def add(self, state: State, step: Step) -> None:
         """The step just taken, and the state it led to."""
         k = self._episode
         self._positions.append(state.position[k].copy())
-        self._reward = float(step.reward[k].mean())
-        self._total += self._reward
-        self._collided = step.agent_collision[k] | step.object_collision[k]
+        self._rewards.append(float(step.reward[k].mean()))
+        self._totals.append(self._totals[-1] + self._rewards[-1])
+        self._collided.append(step.agent_collision[k] | step.object_collision[k])
         self._ended = "done" if step.terminated[k] else "time is over" if step.truncated[k] else ""
 
-    def scene(self) -> Scene:
+    def scene(self, cycle: int | None = None) -> Scene:
+        """The scene after so many steps, the last one by default."""
+        cycle = self.cycles if cycle is None else cycle
         return Scene(
-            track=np.stack(self._positions),
+            track=np.stack(self._positions[: cycle + 1]),
             targets=self._targets,
             walls=self._walls,
-            cycle=len(self._positions) - 1,
-            reward=self._reward,
-            total=self._total,
-            collided=self._collided.copy(),
-            ended=self._ended,
+            cycle=cycle,
+            reward=self._rewards[cycle],
+            total=self._totals[cycle],
+            collided=self._collided[cycle],
+            ended=self._ended if cycle == self.cycles else "",
         )

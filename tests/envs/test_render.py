@@ -15,13 +15,13 @@ from xmarl_envs.canvas import HEADER, SIZE
 from xmarl_envs.colours import FAINT, INK, NEAR, PAPER, WALL, Colour, agent_colours
 from xmarl_envs.render import Renderer
 from xmarl_envs.scene import Scene, Track
+from xmarl_envs.team_painter import STAR
 from xmarl_envs.vector_env import VectorEnv
 
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 
 tasks = pytest.mark.parametrize("name", TASKS)
-RED = (214, 39, 40)
 
 
 @pytest.fixture(autouse=True)
@@ -188,9 +188,9 @@ def test_trails_lead_from_where_agents_were() -> None:
 def test_who_collides_is_marked() -> None:
     task = make_task("blind_navigation_v0", 2)
     frame = drawn(task, scene_of((-0.5, 0.0), (0.5, 0.0), collided=1))
-    assert count(frame, RED) > 50
-    assert at(frame, RED)[0] > SIZE / 2
-    assert not count(drawn(task, scene_of((-0.5, 0.0), (0.5, 0.0))), RED)
+    assert count(frame, STAR) > 50
+    assert at(frame, STAR)[0] > SIZE / 2
+    assert not count(drawn(task, scene_of((-0.5, 0.0), (0.5, 0.0))), STAR)
 
 
 def test_collisions_reward_and_end_come_from_the_episode() -> None:
@@ -210,6 +210,10 @@ def test_collisions_reward_and_end_come_from_the_episode() -> None:
         np.testing.assert_array_equal(scene.track[-1], env.state.position[0])
         np.testing.assert_array_equal(scene.collided, step.agent_collision[0])
         assert scene.ended == ("time is over" if cycle == 40 else "")
+    early = track.scene(3)
+    assert (early.cycle, len(early.track), early.ended) == (3, 4, "")
+    np.testing.assert_array_equal(early.track, scene.track[:4])
+    assert track.cycles == 40
     assert collided > 0
 
 
@@ -257,6 +261,18 @@ def test_arrows_and_rings_grow_with_the_mask() -> None:
     half = SIZE // 2  # agent 1 has no ring
     ringed, plain = (drawn(task, scene, mask)[HEADER:, half:] for mask in (np.diag([1.0, 0.0]), None))
     np.testing.assert_array_equal(ringed, plain)
+
+
+def test_an_explanation_of_a_huddle_is_shown_larger_too() -> None:
+    task = make_task("blind_passage_v0", 5)
+    huddle = [(x - 0.8, y - 0.8) for x, y in ((0.0, 0.0), (0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1))]
+    apart = [(0.4 * k - 0.8, -0.8) for k in range(5)]
+    for team, larger in ((huddle, True), (apart, False)):
+        with_mask, without = (drawn(task, scene_of(*team), mask) for mask in (np.full((5, 5), 0.2), None))
+        for colour in agent_colours(5):
+            assert (count(with_mask, colour) > 3 * count(without, colour)) == larger
+        middle = np.s_[HEADER + 260 : HEADER + 380, 260:380]  # nothing is covered there
+        np.testing.assert_array_equal(with_mask[middle], without[middle])
 
 
 def test_agents_on_one_spot_are_drawn_with_their_explanation() -> None:

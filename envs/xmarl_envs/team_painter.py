@@ -1,0 +1,106 @@
+"""Draws a team and its explanation: numbered discs, arrows from sender to receiver, rings for own edges."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from xmarl_envs.canvas import Canvas
+from xmarl_envs.colours import INK, Colour, agent_colours, readable_on
+from xmarl_envs.task import Bools, Floats, Task
+
+STAR = (214, 39, 40)
+FAINTEST = 0.05  # masks below it are not drawn; at 64 agents there are 4096
+LEGEND = (0.1, 0.5, 1.0)
+SMALL = 7.5  # pixels; the number of a smaller agent stands beside it
+
+
+class TeamPainter:
+    """Draws the team of one task on any canvas."""
+
+    def __init__(self, task: Task) -> None:
+        self._radius = task.radius
+        self._n_agents = task.n_agents
+        self.colours = agent_colours(task.n_agents)
+
+    def draw(self, canvas: Canvas, position: Floats, collided: Bools, mask: Floats | None) -> None:
+        """position: (N, 2) m; mask: (N, N) in [0, 1], drawn below the discs."""
+        if mask is not None:
+            self._draw_mask(canvas, position, mask)
+            canvas.blend()
+        for centre in position[collided]:
+            self._draw_star(canvas, centre)
+        for i, centre in enumerate(position):
+            canvas.disc(centre, self._radius, INK)
+            canvas.disc(centre, self._radius - canvas.metres(1), self.colours[i])
+            self.draw_number(canvas, centre, i, readable_on(self.colours[i]))
+
+    def draw_number(self, canvas: Canvas, centre: Floats, agent: int, colour: Colour) -> None:
+        radius = canvas.pixels(self._radius)
+        if radius >= SMALL:
+            canvas.label(centre, str(agent), float(np.clip(1.5 * radius, 13, 26)), colour)
+        else:  # beside a disc that it would hide
+            canvas.label(centre + canvas.metres(radius + 4), str(agent), 13, INK)
+
+    def draw_legend(self, canvas: Canvas) -> None:
+        """In the second line of the header, at the right."""
+        pixel = canvas.metres(1)
+        y = canvas.half_width + 18 * pixel
+        for k, value in enumerate(LEGEND):
+            x = canvas.half_width - (210 - 74 * k) * pixel
+            on = y + self._head(canvas, value) * pixel  # arrows lie beside their line
+            self._draw_arrow(canvas, np.array([x, on]), np.array([x + 30 * pixel, on]), value, 0.0)
+            canvas.label(np.array([x + 46 * pixel, y]), f"{value:g}", 20, INK)
+        canvas.blend()
+
+    def _draw_star(self, canvas: Canvas, centre: Floats) -> None:
+        """Spikes around who collides: a shape, for red alone is not seen by everybody."""
+        angle = np.arange(24) * np.pi / 12
+        radius = self._radius * np.where(np.arange(24) % 2, 1.1, 1.45)
+        spikes = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        canvas.polygon(centre + spikes, STAR)
+
+    def _draw_mask(self, canvas: Canvas, position: Floats, mask: Floats) -> None:
+        for k in np.argsort(mask, axis=None, kind="stable"):  # the largest are drawn last, above the others
+            receiver, sender = divmod(int(k), len(mask))
+            value = float(mask[receiver, sender])
+            if value < FAINTEST:
+                continue
+            if receiver == sender:
+                width = self._width(canvas, value)
+                radius = self._radius + canvas.metres(2 + width)
+                canvas.ring(position[receiver], radius, INK, width, _opacity(value))
+            else:
+                self._draw_arrow(canvas, position[sender], position[receiver], value, self._radius)
+
+    def _draw_arrow(self, canvas: Canvas, start: Floats, end: Floats, value: float, gap: float) -> None:
+        """From disc to disc, beside the arrow that goes the other way."""
+        length = float(np.hypot(*(end - start)))
+        if length == 0.0:
+            return
+        along = (end - start) / length
+        aside = np.array([along[1], -along[0]])
+        gap = min(gap, 0.3 * length)
+        head = canvas.metres(self._head(canvas, value))
+        shrunk = min(1.0, 0.4 * (length - 2 * gap) / head)  # where discs nearly touch
+        head, half = shrunk * head, shrunk * canvas.metres(self._width(canvas, value)) / 2
+        start, end = start + gap * along + head * aside, end - gap * along + head * aside
+        neck = end - 2 * head * along
+        outline = [
+            start - half * aside, neck - half * aside, neck - head * aside, end,
+            neck + head * aside, neck + half * aside, start + half * aside,
+        ]  # fmt: skip
+        canvas.polygon(np.array(outline), INK, _opacity(value))
+
+    def _width(self, canvas: Canvas, value: float) -> float:
+        """Pixels of an arrow or ring: less in large teams, and at most about an agent's radius."""
+        widest = min(8.0, 1.5 + 30.0 / self._n_agents, canvas.pixels(self._radius))
+        return 1.0 + value * widest
+
+    def _head(self, canvas: Canvas, value: float) -> float:
+        """Pixels from an arrow's middle to the side of its head."""
+        return self._width(canvas, value) / 2 + 5
+
+
+def _opacity(value: float) -> float:
+    """Its square root: the attention of a large team is small everywhere, and still to be seen."""
+    return min(float(np.sqrt(value)), 0.999)  # 1 would be drawn below the translucent ones

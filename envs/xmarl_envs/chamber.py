@@ -1,0 +1,119 @@
+"""A pymunk Space with slots for copies of a task side by side, read and written through numpy buffers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pymunk
+from numpy.typing import NDArray
+from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
+
+from xmarl_envs.task import Floats, Task
+
+TIME_STEP = 0.1  # s per environment step
+SUBSTEPS = 2
+# Contacts are looked for this often within a substep. Two discs at full thrust close in at 1.06 m/s: looked
+# for once per substep, they would get 0.053 m into each other before they are stopped; this way 0.018 m.
+CONTACT_CHECKS = 3
+MOVE = TIME_STEP / SUBSTEPS / CONTACT_CHECKS  # s
+VELOCITY_KEPT = 0.75  # per TIME_STEP, VMAS's drag of 0.25
+DAMPING = VELOCITY_KEPT ** (1.0 / (SUBSTEPS * MOVE))  # per s, in the one move of a substep that has any
+COPY_SPACING = 64.0  # m between slots: nobody gets that far in an episode
+BORDER_THICKNESS = 0.5  # m
+COLLISION_SLOP = 1e-4  # m; pymunk's default of 0.1 is as large as an agent
+STATE = BodyFields.POSITION | BodyFields.VELOCITY
+
+Slots = NDArray[np.intp] | slice
+EVERY_SLOT = slice(None)
+
+
+class Chamber:
+    """One Space with `n_slots` copies of the task, built in a fixed order: agents, walls, borders.
+
+    Beside positions and velocities it keeps what Chipmunk does: contacts that last, corrections of overlaps
+    that are due in the next move, the order of its search tree.
+    """
+
+    def __init__(self, task: Task, n_slots: int = 1) -> None:
+        side = int(np.ceil(np.sqrt(n_slots)))
+        slot = np.arange(n_slots)
+        grid = np.stack([slot % side, slot // side], axis=1).astype(np.float64)
+        self._offset: Floats = grid[:, None] * COPY_SPACING  # (n_slots, 1, 2)
+        self._space = space = pymunk.Space()
+        space.collision_slop = COLLISION_SLOP
+        n_discs, n_walls = n_slots * task.n_agents, n_slots * task.n_walls
+        for _ in range(n_discs):
+            disc = pymunk.Body(1.0, float("inf"))
+            space.add(disc, _frictionless(pymunk.Circle(disc, task.radius)))
+        # Kinematic, not static: they move between episodes, and Chipmunk re-indexes kinematic shapes itself.
+        for _ in range(n_walls):
+            wall = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+            space.add(wall, _immovable(pymunk.Poly.create_box(wall, task.wall_size)))
+        if task.bound is not None:
+            for x, y in self._offset[:, 0]:
+                self._add_border(float(x), float(y), task.bound + task.radius)
+        # Pymunk reads the memory of these arrays: agents, walls, and one row more for Space.static_body,
+        # which comes last in a batch and would be set to whatever lies past the end.
+        state = np.zeros((n_discs + n_walls + 1, 4))
+        force = np.zeros((n_discs + n_walls + 1, 2))
+        self._state_in, self._force_in, self._state_out = Buffer(), Buffer(), Buffer()
+        self._state_in.set_float_buf(state)
+        self._force_in.set_float_buf(force)
+        self._agents = state[:n_discs].reshape(n_slots, task.n_agents, 4)
+        self._walls = state[n_discs:-1].reshape(n_slots, task.n_walls, 4)
+        self._force = force[:n_discs].reshape(n_slots, task.n_agents, 2)
+        # A slot in which nobody was yet: discs in a row, far from the walls.
+        self._agents[..., 0] = self._offset[..., 0] + 3 * task.radius * np.arange(task.n_agents)
+        self._agents[..., 1] = self._offset[..., 1] + COPY_SPACING / 4
+        self._walls[..., :2] = self._offset - COPY_SPACING / 4
+
+    def _add_border(self, x: float, y: float, half_width: float) -> None:
+        reach = half_width + BORDER_THICKNESS
+        signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        corners = [(x + sx * reach, y + sy * reach) for sx, sy in signs]
+        for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
+            self._space.add(_immovable(pymunk.Segment(self._space.static_body, a, b, BORDER_THICKNESS)))
+
+    def write(self, position: Floats, velocity: Floats, walls: Floats, slots: Slots = EVERY_SLOT) -> None:
+        """Set agents (k, N, 2), m and m/s, and walls (k, W, 2) of k slots, each in its own frame.
+
+        The agents of the other slots come to rest where they are, to rounding.
+        """
+        offset = self._offset[slots]
+        self._agents[..., 2:] = 0.0
+        self._force[...] = 0.0
+        self._agents[slots, :, :2] = position + offset
+        self._agents[slots, :, 2:] = velocity
+        self._walls[slots, :, :2] = walls + offset
+        set_space_bodies(self._space, STATE, self._state_in)
+
+    def step(self, force: Floats, slots: Slots = EVERY_SLOT) -> tuple[Floats, Floats]:
+        """Advance by TIME_STEP under forces (k, N, 2) in newton; positions and velocities, both (k, N, 2)."""
+        # A substep moves by the old velocity, then changes the velocity. Its first moves only coast, and the
+        # last brings the whole substep's drag and force: contacts are found early, free flight is the same.
+        self._force[slots] = force * CONTACT_CHECKS
+        space = self._space
+        for _ in range(SUBSTEPS):
+            space.damping = 1.0
+            for _ in range(CONTACT_CHECKS - 1):
+                space.step(MOVE)
+            space.damping = DAMPING
+            set_space_bodies(space, BodyFields.FORCE, self._force_in)  # every Space.step clears it
+            space.step(MOVE)
+        self._state_out.clear()
+        get_space_bodies(space, STATE, self._state_out)
+        # Read through pymunk's own memory: it reallocates the buffer while filling it, so no alias is safe.
+        state = np.frombuffer(self._state_out.float_buf(), np.float64, self._agents.size)
+        state = state.reshape(self._agents.shape)[slots]
+        return state[..., :2] - self._offset[slots], state[..., 2:]
+
+
+def _immovable(shape: pymunk.Shape) -> pymunk.Shape:
+    """Walls reach into borders. In one group they are not tested against each other."""
+    shape.filter = pymunk.ShapeFilter(group=1)
+    return _frictionless(shape)
+
+
+def _frictionless(shape: pymunk.Shape) -> pymunk.Shape:
+    shape.friction = 0.0
+    shape.elasticity = 0.0
+    return shape

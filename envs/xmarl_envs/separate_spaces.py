@@ -1,0 +1,37 @@
+"""A Space for each episode, from beginning to end: it repeats bit for bit, whatever its neighbours do."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xmarl_envs.chamber import Chamber
+from xmarl_envs.task import Bools, Floats, Task
+
+
+class SeparateSpaces:
+    """The physics of `World` with one copy per Space."""
+
+    def __init__(self, task: Task, n_episodes: int) -> None:
+        self._task = task
+        self._chambers: list[Chamber | None] = [None] * n_episodes
+
+    def place(self, episodes: NDArray[np.intp], agents: Floats, walls: Floats) -> None:
+        """Begin episodes (E,) with agents (E, N, 2) at rest and walls (E, W, 2).
+
+        Each in a Space built anew: nothing of earlier episodes (cached contacts, the order in its search
+        tree) can reach the new one.
+        """
+        at_rest = np.zeros((1, *agents.shape[1:]))
+        for row, episode in enumerate(episodes):
+            self._chambers[episode] = chamber = Chamber(self._task)
+            chamber.write(agents[row : row + 1], at_rest, walls[row : row + 1])
+
+    def step(
+        self, position: Floats, velocity: Floats, force: Floats, walls: Floats, live: Bools | None
+    ) -> None:
+        """Advance position and velocity (B, N, 2), in place, under force (B, N, 2)."""
+        for k, chamber in enumerate(self._chambers):
+            if chamber is not None and (live is None or live[k]):
+                here = slice(k, k + 1)
+                position[here], velocity[here] = chamber.step(force[here])

@@ -1,0 +1,99 @@
+"""Spaces shared by many episodes: those in which something touches are in one, all others fly freely.
+
+Free flight is arithmetic on arrays, to the bit what a Space does. An episode enters a Space for the step in
+which it has a contact, and leaves after a whole step without one: Chipmunk then has nothing to remember.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xmarl_envs.chamber import Chamber
+from xmarl_envs.free_flight import fly, touching
+from xmarl_envs.task import Bools, Floats, Task
+
+FREE, COOLING = -1, -2  # slots without an episode; Chipmunk still remembers contacts of a cooling one
+NO_SLOT = -1
+ROUNDING = 1e-9  # m, m/s: contacts change where agents get to by more, the frame of a slot by less
+SMALLEST_SPACE = (
+    8  # slots; each further Space has twice as many as the last, so that few contacts cost little
+)
+# Of larger teams nearly every one has a contact, and looking for it among all pairs costs more than a Space.
+LARGEST_FLYING_TEAM = 8
+
+
+class SharedSpaces:
+    """The physics of `World` with at most `largest_space` copies per Space; Spaces are built when needed."""
+
+    def __init__(self, task: Task, n_episodes: int, largest_space: int) -> None:
+        self._task = task
+        self._largest_space = largest_space
+        self._chambers: list[tuple[Chamber, slice]] = []  # and which of all slots are theirs
+        self._occupant: NDArray[np.intp] = np.empty(0, dtype=np.intp)  # (slots of all Spaces,) -> episode
+        self._slot: NDArray[np.intp] = np.full(n_episodes, NO_SLOT)  # (B,) -> slot
+        self._touched: Bools = np.zeros(n_episodes, dtype=np.bool_)  # (B,) in the last step
+        self._pairs = np.triu_indices(task.n_agents, k=1)
+
+    def place(self, episodes: NDArray[np.intp], agents: Floats, walls: Floats) -> None:
+        """Begin episodes (E,), wherever their agents and walls are."""
+        slots = self._slot[episodes]
+        self._occupant[slots[slots != NO_SLOT]] = COOLING
+        self._slot[episodes] = NO_SLOT
+        self._touched[episodes] = False
+
+    def step(
+        self, position: Floats, velocity: Floats, force: Floats, walls: Floats, live: Bools | None
+    ) -> None:
+        """Advance position and velocity (B, N, 2), in place, under force (B, N, 2)."""
+        path, end_velocity = fly(position, velocity, force)
+        end_position = path[-1]
+        touches = self._touches(path, walls)
+        needs_space = touches | self._touched
+        self._assign_slots(needs_space if live is None else needs_space & live)
+        self._touched = touches
+        for chamber, its_slots in self._chambers:
+            occupant = self._occupant[its_slots]
+            if (occupant == FREE).all():
+                continue
+            slots = np.flatnonzero(occupant >= 0)
+            inside = occupant[slots]
+            chamber.write(position[inside], velocity[inside], walls[inside], slots)
+            real_position, real_velocity = chamber.step(force[inside], slots)
+            # A correction that was due from the last step may have brought about another contact.
+            self._touched[inside] |= _differ(real_position, end_position[inside])
+            self._touched[inside] |= _differ(real_velocity, end_velocity[inside])
+            end_position[inside], end_velocity[inside] = real_position, real_velocity
+            occupant[occupant == COOLING] = FREE
+        position[...] = end_position
+        velocity[...] = end_velocity
+
+    def _touches(self, path: Floats, walls: Floats) -> Bools:
+        """(B,): flying freely along `path` (MOVES, B, N, 2), somebody touches something."""
+        if self._task.n_agents > LARGEST_FLYING_TEAM:
+            return np.ones_like(self._touched)
+        return touching(self._task, path, walls, self._pairs)
+
+    def _assign_slots(self, needs_space: Bools) -> None:
+        has_slot = self._slot != NO_SLOT
+        leaving = np.flatnonzero(has_slot & ~needs_space)
+        self._occupant[self._slot[leaving]] = FREE
+        self._slot[leaving] = NO_SLOT
+        entering = np.flatnonzero(needs_space & ~has_slot)
+        free = np.flatnonzero(self._occupant == FREE)
+        while free.size < entering.size:
+            self._build_chamber(entering.size - free.size)
+            free = np.flatnonzero(self._occupant == FREE)
+        self._slot[entering] = free[: entering.size]
+        self._occupant[free[: entering.size]] = entering
+
+    def _build_chamber(self, n_wanted: int) -> None:
+        first = self._occupant.size
+        n_slots = min(max(n_wanted, SMALLEST_SPACE * 2 ** len(self._chambers)), self._largest_space)
+        self._chambers.append((Chamber(self._task, n_slots), slice(first, first + n_slots)))
+        self._occupant = np.append(self._occupant, np.full(n_slots, FREE))
+
+
+def _differ(a: Floats, b: Floats) -> Bools:
+    """(k, N, 2), (k, N, 2) -> (k,)"""
+    return np.asarray((np.abs(a - b) > ROUNDING).any(axis=(1, 2)))

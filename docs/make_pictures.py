@@ -1,40 +1,81 @@
-"""Makes docs/tasks.png, the three tasks side by side: `.venv/bin/python docs/make_pictures.py`."""
+"""Makes docs/*.png, the pictures of README.md and envs/README.md: `.venv/bin/python docs/make_pictures.py`.
+
+All are the command line's: `xmarl-bench render --task ... --agents ...` draws the same episodes.
+"""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-import pygame
-from xmarl_envs import TASKS, TaskParallelEnv, make_task
+import numpy as np
+from PIL import Image
+from xmarl_envs import TASKS, make_task
+from xmarl_envs.render import Renderer
+
+from xmarl_bench.explainer import Explainer
+from xmarl_bench.policy import load_policy
+from xmarl_bench.recording import HEURISTIC, Recording, record
+from xmarl_bench.registry import find_explainer, find_policy
 
 HERE = Path(__file__).parent
-N_AGENTS, SEED = 5, 3
-CAPTION, MARGIN = 44, 8  # pixels
+PANEL, MARGIN = (480, 528), 8  # pixels
+EPISODES = {"blind_navigation_v0": 4, "blind_passage_v0": 1, "blind_discovery_v0": 0}  # of `render --episode`
+EXPLAINED = ("discovery-n3-lambda0-seed0", "attention")
 
 
-def picture_of(name: str) -> pygame.Surface:
-    """The first moment of an episode, under the task's name."""
-    env = TaskParallelEnv(make_task(name, N_AGENTS), render_mode="rgb_array")
-    env.reset(seed=SEED)
-    frame = env.render()
-    assert frame is not None
-    height, width, _ = frame.shape
-    panel = pygame.Surface((width, CAPTION + height))
-    panel.fill((255, 255, 255))
-    panel.blit(pygame.surfarray.make_surface(frame.swapaxes(0, 1)), (0, CAPTION))
-    text = pygame.font.Font(None, 36).render(name, True, (40, 40, 46))
-    panel.blit(text, text.get_rect(center=(width // 2, CAPTION // 2)))
-    return panel
+def moment(recording: Recording, cycle: int, explainer: Explainer | None = None) -> Image.Image:
+    """The picture after so many steps."""
+    track = recording.track
+    reach = float(np.abs(track.scene().track).max()) + recording.task.radius
+    mask = None if explainer is None else recording.explain(explainer, range(track.cycles))[cycle]
+    title = "" if explainer is None else f"{recording.team}, {explainer.name}"
+    picture = Renderer(recording.task, reach=reach).draw(track.scene(cycle), mask, title)
+    assert picture is not None
+    return Image.fromarray(picture).resize(PANEL, Image.Resampling.LANCZOS)
+
+
+def row(panels: Sequence[Image.Image]) -> Image.Image:
+    width, height = PANEL
+    sheet = Image.new("RGB", (len(panels) * (width + MARGIN) - MARGIN, height), "white")
+    for k, panel in enumerate(panels):
+        sheet.paste(panel, (k * (width + MARGIN), 0))
+    return sheet
+
+
+def heuristics() -> dict[str, Recording]:
+    return {
+        name: record(make_task(name, 3 if name == "blind_discovery_v0" else 5), HEURISTIC, episode=episode)
+        for name, episode in EPISODES.items()
+    }
+
+
+def explained() -> Image.Image:
+    """A policy's messages before and after one agent senses the landmark, and how it ends."""
+    policy, card = load_policy(find_policy(EXPLAINED[0]))
+    recording = record(make_task(card.task, card.n_agents), card.name, policy)
+    sensed = int((recording.observations[..., -1] > 0).any(axis=1).argmax())
+    explainer = find_explainer(EXPLAINED[1]).explainer
+    last = recording.track.cycles
+    return row([moment(recording, k, explainer) for k in (sensed - 1, sensed)] + [moment(recording, last)])
+
+
+def pictures() -> dict[str, Image.Image]:
+    """File name -> picture."""
+    played = heuristics()
+    assert played.keys() == TASKS.keys()
+    made = {"tasks.png": row([moment(one, one.track.cycles // 2) for one in played.values()])}
+    for name, one in played.items():
+        last = one.track.cycles
+        made[f"{name}.png"] = row([moment(one, cycle) for cycle in (0, last // 2, last)])
+    return {**made, "explanation.png": explained()}
 
 
 def main() -> None:
-    panels = [picture_of(name) for name in TASKS]
-    width, height = panels[0].get_size()
-    sheet = pygame.Surface((len(panels) * (width + MARGIN) - MARGIN, height))
-    sheet.fill((255, 255, 255))
-    for k, panel in enumerate(panels):
-        sheet.blit(panel, (k * (width + MARGIN), 0))
-    pygame.image.save(sheet, HERE / "tasks.png")
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE
+    for name, picture in pictures().items():
+        picture.save(folder / name, optimize=True)
 
 
 if __name__ == "__main__":

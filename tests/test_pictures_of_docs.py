@@ -1,0 +1,31 @@
+"""The pictures of README.md and envs/README.md are what docs/make_pictures.py makes now."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+DOCS = Path(__file__).parent.parent / "docs"
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, Image.Image]:
+    pictures: dict[str, Image.Image] = runpy.run_path(str(DOCS / "make_pictures.py"))["pictures"]()
+    return pictures
+
+
+def test_no_picture_is_missing_or_left_over(made: dict[str, Image.Image]) -> None:
+    assert {path.name for path in DOCS.glob("*.png")} == set(made)
+
+
+@pytest.mark.parametrize("name", ["tasks", "blind_navigation_v0", "blind_passage_v0", "blind_discovery_v0"])
+def test_pictures_are_up_to_date(name: str, made: dict[str, Image.Image]) -> None:
+    """To the rounding of another processor. Otherwise run docs/make_pictures.py and look at what it made."""
+    with Image.open(DOCS / f"{name}.png") as image:
+        kept = np.asarray(image.convert("RGB")).astype(int)
+    assert kept.shape == np.asarray(made[f"{name}.png"]).shape
+    assert np.abs(kept - np.asarray(made[f"{name}.png"])).mean() < 0.5

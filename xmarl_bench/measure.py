@@ -79,7 +79,8 @@ class Unit:
             sanity = self._sanity(explainer, states, mask) if self.sanity else {}
         except InputError as error:
             return error
-        return Explained({**states.mask_metrics(mask), **sanity}, states.mask_metrics(1.0 - mask), seconds)
+        values, inverted = states.with_inverse(mask)
+        return Explained({**values, **sanity}, inverted, seconds)
 
     def _mask(self, explainer: Explainer, states: States) -> Tensor:
         seed = derived_seed("explainer", self.seed, explainer.name, self.episode.seed)

@@ -6,6 +6,7 @@ S is the number of timesteps explained, N agents, D observation entries.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,17 +104,38 @@ class States:
     @torch.no_grad()
     def mask_metrics(self, mask: Tensor) -> Values:
         """Metrics of a mask (S, N, N), over the S timesteps together. What is not a number is None."""
-        own = torch.eye(mask.shape[-1]).expand_as(mask)
-        kept, dropped, heard, unheard = map(
-            self._decode,
-            (mask, 1.0 - mask, torch.maximum(mask, own), torch.maximum(1.0 - mask, own)),
+        return self._values(mask, *self._sides(mask))
+
+    @torch.no_grad()
+    def with_inverse(self, mask: Tensor) -> tuple[Values, Values]:
+        """Metrics of a mask and of 1 - mask, for what one keeps the other drops."""
+        kept, dropped, heard, unheard = self._sides(mask)
+        return (
+            self._values(mask, kept, dropped, heard, unheard),
+            self._values(1.0 - mask, dropped, kept, unheard, heard),
         )
+
+    def _sides(self, mask: Tensor) -> Iterator[ActionDistribution]:
+        """F of the mask and of its complement; then of both with every agent's own edge kept."""
+        own = torch.eye(mask.shape[-1]).expand_as(mask)
+        masks = (mask, 1.0 - mask, torch.maximum(mask, own), torch.maximum(1.0 - mask, own))
+        return map(self._decode, masks)
+
+    def _values(
+        self,
+        mask: Tensor,
+        kept: ActionDistribution,
+        dropped: ActionDistribution,
+        heard: ActionDistribution,
+        unheard: ActionDistribution,
+    ) -> Values:
         fid, comm = self._fidelity(kept, dropped), self._fidelity(heard, unheard)
         kl, comm_kl = self._kl(kept), self._kl(heard)
+        own = torch.eye(mask.shape[-1])
         senders, noise = mask.numpy(), self.noise
-        top, budgeted = self._rank(self.all_edges, senders, noise, torch.zeros_like(own[0]))
+        top, budgeted = self._rank(self.all_edges, senders, noise, torch.zeros_like(own))
         comm_top, comm_budgeted = self._rank(
-            self.communication, other_senders(senders), other_senders(noise), own[0]
+            self.communication, other_senders(senders), other_senders(noise), own
         )
         renorm_top, renorm_budgeted = (
             (math.nan, math.nan) if self.renormalised is None else self.renormalised.score(senders, noise)

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 import torch
 from torch import Tensor
 from torch_geometric.explain import GraphMaskExplainer
 from xmarl_baselines.batching import timestep_seeds
+from xmarl_baselines.explainers.graphmask import (
+    GraphMaskSettings,
+    graphmask,
+    kept,
+    optimise_gates,
+    uniform_noise,
+)
 from xmarl_baselines.explainers.graphmask_pyg import (
     GraphMaskPygSettings,
     batched,
     graphmask_pyg,
     pyg_algorithm,
 )
+from xmarl_baselines.frozen_policy import frozen
 
 from tests.baselines.reference import TRAINED, by_pyg, trained
 from tests.policies import random_observations, small_policy
@@ -76,3 +84,71 @@ def test_the_defaults_are_pygs() -> None:
 def test_graphmask_pyg_gives_binary_masks(encoder: tuple[int, ...]) -> None:
     mask = run_explainer(graphmask_pyg, small_policy(6, 4, encoder), random_observations(5, 3, 6), 0)
     assert set(mask.unique().tolist()) <= {0.0, 1.0}
+
+
+def gated(policy: GraphPolicy, observations: Tensor, settings: GraphMaskSettings, seed: int = 0) -> Tensor:
+    seeds = timestep_seeds(len(observations), torch.Generator().manual_seed(seed))
+    noise = uniform_noise(settings.epochs, observations.shape[1], seeds)
+    return kept(optimise_gates(frozen(policy), observations, noise, settings))
+
+
+def relative_error(policy: GraphPolicy, observations: Tensor, mask: Tensor) -> Tensor:
+    """(S,): D(z), what the constraint is about."""
+    with torch.no_grad():
+        full, masked, silent = (
+            policy.distribution(observations, each).action for each in (None, mask, torch.zeros_like(mask))
+        )
+    distance = [(full - other).square().sum(dim=(-2, -1)) for other in (masked, silent)]
+    return distance[0] / distance[1]
+
+
+@pytest.mark.parametrize("name", TRAINED)
+def test_graphmask_drops_messages_and_keeps_the_action(name: str) -> None:
+    policy, observations = trained(name, 30)
+    mask = run_explainer(graphmask, policy, observations, 0)
+    assert set(mask.unique().tolist()) == {0.0, 1.0}
+    assert 0.1 < float(mask.mean()) < 0.9
+    error = relative_error(policy, observations, mask)
+    shuffled = mask.flatten(1)[:, torch.randperm(9, generator=torch.Generator().manual_seed(0))].view_as(mask)
+    assert error.median() < 0.25
+    assert error.median() < 0.5 * relative_error(policy, observations, shuffled).median()
+
+
+def test_without_a_constraint_every_gate_closes_and_without_a_price_the_action_is_kept() -> None:
+    policy, observations = small_policy(6, 3), random_observations(20, 4, 6)
+    free = gated(policy, observations, GraphMaskSettings(allowance=1e9, epochs=200))
+    assert bool((free == 0).all())
+    dear = gated(policy, observations, GraphMaskSettings(scaling=0.001, allowance=0.0))
+    assert relative_error(policy, observations, dear).median() < 0.02
+
+
+def test_a_larger_allowance_keeps_fewer_messages() -> None:
+    policy, observations = trained(TRAINED[0], 40)
+    few, many = (gated(policy, observations, GraphMaskSettings(allowance=a)).mean() for a in (0.5, 0.01))
+    assert few < 0.8 * many
+
+
+def test_the_multiplier_is_kept_from_step_to_step() -> None:
+    """PyG makes it anew in every step, so that a broken constraint never weighs more."""
+    policy, observations = trained(TRAINED[1], 40)
+    settings = GraphMaskSettings(scaling=5.0, epochs=200)
+    still = gated(policy, observations, replace(settings, lambda_lr=0.0))
+    rising = gated(policy, observations, settings)
+    errors = [relative_error(policy, observations, mask).mean() for mask in (still, rising)]
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_timesteps_do_not_see_one_another() -> None:
+    policy, observations = small_policy(6, 3), random_observations(6, 3, 6)
+    together = run_explainer(graphmask, policy, observations, 1)
+    changed = observations.clone()
+    changed[0] += 1.0
+    assert torch.equal(together[1:], run_explainer(graphmask, policy, changed, 1)[1:])
+
+
+def test_a_policy_that_ignores_its_team_is_explained_by_nothing() -> None:
+    policy = small_policy(6, 1)
+    with torch.no_grad():
+        next(policy.decoder.parameters()).zero_()
+    mask = run_explainer(graphmask, policy, random_observations(4, 3, 6), 1)
+    assert bool((mask == 0).all())

@@ -1,0 +1,45 @@
+"""GNNExplainer with settings that fit policies: the same objective as `gnn_explainer`, started from zero.
+
+Paper and formula: see `gnn_explainer`.
+
+Departures from PyG's defaults: every logit starts at 0, so no random number is drawn; the learning rate is
+0.3 instead of 0.01, so that logits get somewhere in 100 steps; and the penalties weigh far less, since
+squared changes of actions are far smaller than a classifier's loss. The settings were chosen on two
+throwaway policies (discovery and navigation, 4 agents, training seed 9001, never scored) run with 3 and 5
+agents, among 21 settings, by FidDelta over the oracle's and communication-only budgeted fidelity: 0.87 and
+0.93 there, where the defaults started from zero reach 0.41 and 0.68."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import torch
+from torch import Tensor
+
+from xmarl_baselines.batching import chunks
+from xmarl_baselines.explainers.gnn_explainer import GNNExplainerSettings, optimise_mask
+from xmarl_baselines.frozen_policy import frozen
+from xmarl_bench.explainer import Explainer
+from xmarl_bench.policy import Policy
+
+SETTINGS = GNNExplainerSettings(epochs=100, lr=0.3, edge_size=0.0002, edge_ent=0.0005)
+
+
+def gnn_explainer_tuned_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N)."""
+    n_steps, n_agents, _ = observations.shape
+    policy, start = frozen(policy), observations.new_zeros(n_steps, n_agents, n_agents)
+    return torch.cat(
+        [
+            optimise_mask(policy, observations[steps], start[steps], SETTINGS)
+            for steps in chunks(n_steps, n_agents)
+        ]
+    )
+
+
+gnn_explainer_tuned = Explainer(
+    "gnn_explainer-tuned",
+    gnn_explainer_tuned_mask,
+    "GNNExplainer from zero, with settings that fit policies",
+    hyperparameters={**asdict(SETTINGS), "start": "zero"},
+)

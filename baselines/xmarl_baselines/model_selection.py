@@ -34,12 +34,11 @@ def plain_actor(model: MAPPO) -> GraphPolicy:
 
 
 def worth(record: Record, enough_success: float, care: float) -> tuple[float, float]:
-    """What makes one policy better than another: success up to `enough_success` plus `care` times the mean
-    collision-free rate; then the shorter makespan. Rates a task does not have are None and do not count."""
-    free = [
-        record[name] for name in ("no_agent_collision", "no_object_collision") if record[name] is not None
+    """What makes one policy better than another: success up to `enough_success` plus `care` times the rate of
+    episodes in which no two agents touch; then the shorter makespan."""
+    return min(record["success_rate"], enough_success) + care * record["no_agent_collision"], -record[
+        "makespan"
     ]
-    return min(record["success_rate"], enough_success) + care * float(np.mean(free)), -record["makespan"]
 
 
 class ModelSelection(BaseCallback):

@@ -78,6 +78,16 @@ class Recipe:
             imitation = replace(imitation, rounds=rounds)
         return replace(self, frames=frames, imitation=imitation)
 
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> Recipe:
+        """The recipe that a card holds; what it does not say (it is older) is the default."""
+        nested = {
+            "shaping": Shaping(**record["shaping"]),
+            "imitation": None if record.get("imitation") is None else Imitation(**record["imitation"]),
+            "critic": tuple(record["critic"]),
+        }
+        return cls(**{**record, **nested})
+
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
@@ -122,18 +132,18 @@ RECIPES: dict[str, Recipe] = {
             "decoder": (64, 64, 64, 64), "decoder_activation": "relu",
         },
         critic=(128, 128),
-        frames=2_496_000,
+        frames=2_995_200,
         n_envs=128,
         n_steps=150,
         n_epochs=4,
         batch_size=1600,
-        learning_rate=4e-4,
+        learning_rate=3e-4,
         max_cycles=200,
         attention_start=0.0,
         attention_ramp=0.0,
         imitation=Imitation(rounds=300),
         critic_first=0.06,
-        shaping=Shaping(scale=0.05, agent_penalty=12.0, wall_penalty=4.0, through_gap=True),
+        shaping=Shaping(scale=0.05, agent_penalty=10.0, wall_penalty=3.0, through_gap=True),
         enough_success=0.98,
         care=0.5,
     ),

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
-from xmarl_baselines.recipes import RECIPES
+from xmarl_baselines.policies import shipped_policies
+from xmarl_baselines.recipes import RECIPES, Recipe
 from xmarl_baselines.trainer import Run
 from xmarl_bench.errors import InputError
+from xmarl_bench.policy.bundle import load_card
 
 SIZES = (3, 4, 5)
 SEEDS = (0, 1, 2)
@@ -28,9 +30,19 @@ def reference_runs() -> dict[str, Run]:
     return {run.name: run for run in runs}
 
 
-def reference_run(name: str) -> Run:
-    """Raises InputError for a name that is none of them."""
-    runs = reference_runs()
+def run_named(name: str) -> Run:
+    """The run that made the shipped policy `name`, as its card records it, or the reference run to be made.
+
+    Raises InputError for a name that is neither.
+    """
+    runs, shipped = reference_runs(), shipped_policies()
+    if name in shipped:
+        training = load_card(shipped[name]).training
+        fields = ("n_agents", "attention_entropy", "seed", "caution", "start_from")
+        run = Run(Recipe.from_dict(training["recipe"]), **{field: training[field] for field in fields})
+        if run.name == name and run.start_from is None:
+            return run
+        raise InputError(f"{name} cannot be made by one run: its card says what it was made of.")
     if name not in runs:
         raise InputError(f"no reference policy is called {name!r}: choose one of {', '.join(runs)}.")
     return runs[name]

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from xmarl_baselines.recipes import recipe_for
-from xmarl_baselines.reference import reference_run, reference_runs
+from xmarl_baselines.reference import reference_runs, run_named
 from xmarl_baselines.trainer import Report, Run, train
 from xmarl_bench.errors import InputError
 from xmarl_bench.evaluation import Performance, evaluate_policy
@@ -66,7 +66,7 @@ def command(
     if reproduce == "all":
         raise typer.Exit(train_missing(out, jobs))
     if reproduce is not None:
-        run = reference_run(reproduce)
+        run = run_named(reproduce)
         _train(run, out, resume=resume, start_from=None, episodes=EPISODES)
         return
     assert task is not None

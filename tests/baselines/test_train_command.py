@@ -7,12 +7,15 @@ import sys
 from pathlib import Path
 
 import pytest
+from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.recipes import RECIPES
-from xmarl_baselines.reference import SEEDS, SIZES, reference_runs
+from xmarl_baselines.reference import SEEDS, SIZES, reference_runs, run_named
 from xmarl_baselines.train import main, train_missing
 
 from tests.baselines.test_training import short_validation, small
+from xmarl_bench.errors import InputError
 from xmarl_bench.policy import load_policy
+from xmarl_bench.policy.bundle import load_card
 
 __all__ = ["short_validation"]  # a fixture, for every test here
 
@@ -72,6 +75,26 @@ def test_reference_runs_have_the_names_of_their_settings() -> None:
     assert all(run.name == name for name, run in runs.items())
     first = list(runs.values())[: len(RECIPES) * len(SIZES) * 2]
     assert {run.seed for run in first} == {SEEDS[0]}
+
+
+def test_a_shipped_policy_is_reproduced_by_the_run_that_its_card_records() -> None:
+    made_by_one = 0
+    for name, folder in shipped_policies().items():
+        training = load_card(folder).training
+        if training["start_from"] is not None or "percent" in training:
+            with pytest.raises(InputError, match="cannot be made by one run"):
+                run_named(name)
+            continue
+        run = run_named(name)
+        assert run.name == name
+        recorded = {key: training["recipe"][key] for key in training["recipe"]}
+        assert {key: run.settings()["recipe"][key] for key in recorded} == recorded | {
+            key: {**run.settings()["recipe"][key], **recorded[key]}
+            for key in ("imitation", "shaping")
+            if isinstance(recorded.get(key), dict)
+        }
+        made_by_one += 1
+    assert made_by_one >= 3
 
 
 def test_reproduce_all_trains_what_is_missing_and_says_what_failed(

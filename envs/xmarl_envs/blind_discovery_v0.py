@@ -2,16 +2,18 @@
 
 | | |
 |---|---|
-| Agents | `agent_0` ... `agent_{N-1}`, discs of radius 0.05 m and mass 1 kg |
-| Action | Box(-1, 1, (2,)): force in newton |
-| Observation | (5,): position (m), velocity (m/s), 1 if the landmark is within 0.35 m else 0 |
+| Agents | `agent_0` ... `agent_{N-1}`, 1 <= N <= 64 (done takes two), discs of radius 0.05 m and mass 1 kg |
+| Action | Box(-1, 1, (2,), float32): force in newton; what lies outside is clipped |
+| Observation | Box(-inf, inf, (5,), float32): position (m), velocity (m/s), landmark within 0.35 m (1 or 0) |
 | World | centres stay in a square of half-width 1 m (sqrt(N / 8) above N = 8); the landmark is not solid |
 | Start | agents and landmark uniform in the square, pairwise >= 0.2 m |
 | Reward | + 1 to every agent when the landmark is found |
 | Collision | surfaces within 0.001 m (reported, not punished) |
 | Done | two agents or more within 0.25 m of the landmark; truncated after 500 cycles of 0.1 s |
+| Info | `found`, `agent_collision`, `object_collision` (always False) |
 
 Source: Kailas, Jain and Ravichandar (ICML 2025), section "Tasks"; constants of VMAS `discovery`.
+What differs from VMAS, and why: envs/README.md.
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ class BlindDiscovery(Task):
         covering = distance(state.position, state.targets) < self.covering_range
         done = covering.sum(axis=-1) >= self.agents_needed
         found = np.broadcast_to(done[:, None], covering.shape)
-        return Outcome(self.found_reward * found, done, found, np.zeros_like(found))
+        return Outcome(self.found_reward * found, done, found, np.zeros(found.shape, np.bool_))
 
 
 parallel_env, env, raw_env = make_constructors(BlindDiscovery)

@@ -2,15 +2,18 @@
 
 | | |
 |---|---|
-| Agents | `agent_0` ... `agent_{N-1}`, discs of radius 0.1 m and mass 1 kg |
-| Action | Box(-1, 1, (2,)): force in newton |
-| Observation | (6,): position (m), velocity (m/s), position - goal (m) |
+| Agents | `agent_0` ... `agent_{N-1}`, 1 <= N <= 64, discs of radius 0.1 m and mass 1 kg |
+| Action | Box(-1, 1, (2,), float32): force in newton; what lies outside is clipped |
+| Observation | Box(-inf, inf, (6,), float32): position (m), velocity (m/s), position - goal (m) |
+| World | an open plane |
 | Start | agents, goals uniform in a square of half-width 1 m (sqrt(N / 8) above N = 8), pairwise >= 0.25 m |
 | Reward | the team's sum of distance gained (m), + 0.01 when all are at goal, - 1 per colliding partner |
 | Collision | surfaces within 0.005 m |
 | Done | all agents within 0.1 m of their goals; truncated after 400 cycles of 0.1 s |
+| Info | `at_goal`, `agent_collision`, `object_collision` (always False) |
 
 Source: Kailas, Jain and Ravichandar (ICML 2025), section "Tasks"; constants of VMAS `navigation`.
+What differs from VMAS, and why: envs/README.md.
 """
 
 from __future__ import annotations
@@ -54,7 +57,7 @@ class BlindNavigation(Task):
         done = np.asarray(at_goal.all(axis=-1))
         team = gained.sum(axis=-1) + self.all_at_goal_reward * done
         reward = team[:, None] - self.collision_penalty * contacts
-        return Outcome(reward, done, at_goal, np.zeros_like(at_goal))
+        return Outcome(reward, done, at_goal, np.zeros(at_goal.shape, np.bool_))
 
 
 parallel_env, env, raw_env = make_constructors(BlindNavigation)

@@ -2,18 +2,20 @@
 
 | | |
 |---|---|
-| Agents | `agent_0` ... `agent_{N-1}`, N <= 5, discs of radius 0.03333 m and mass 1 kg |
-| Action | Box(-1, 1, (2,)), times 0.7: force in newton |
-| Observation | (8,): position (m), velocity (m/s), goal - position (m), gap - position (m) |
+| Agents | `agent_0` ... `agent_{N-1}`, 1 <= N <= 5, discs of radius 0.03333 m and mass 1 kg |
+| Action | Box(-1, 1, (2,), float32), times 0.7: force in newton; what lies outside is clipped |
+| Observation | Box(-inf, inf, (8,), float32): position, velocity (m/s), goal - position, gap - position (m) |
 | World | centres stay in [-1, 1]^2; a wall 0.2 m thick on y = 0, one gap 0.103 m wide at one of 20 slots |
 | Start | a cross (centre and 4 arms, spacing 0.1 m) below the wall, goals the same slots above it |
 | | N < 5: N of the 5 slots at random |
 | Reward | 100 per metre of distance gained, - 10 per colliding partner, - 10 for touching the wall |
 | | `shared_reward=True`: the distance gained is the team's sum |
 | Collision | surfaces within 0.001 m |
-| Done | all agents within radius / 2 of their goals; truncated after 300 cycles of 0.1 s |
+| Done | all agents within 0.016665 m (radius / 2) of their goals; truncated after 300 cycles of 0.1 s |
+| Info | `at_goal`, `agent_collision`, `object_collision` (touches the wall) |
 
 Source: Kailas, Jain and Ravichandar (ICML 2025), section "Tasks"; constants of VMAS `passage`.
+What differs from VMAS, and why: envs/README.md.
 """
 
 from __future__ import annotations

@@ -79,6 +79,19 @@ def test_passage_counts_touching_where_vmas_counts_overlap_of_agents_and_nearnes
     assert reward([between, below - 0.0005]) == (-10.0, -20.0)
 
 
+def test_passage_draws_gap_and_slots_for_every_episode() -> None:
+    """VMAS draws them once for all environments that are reset together."""
+    twin, env = VmasTwin("blind_passage_v0", 5, 8), VectorEnv(make_task("blind_passage_v0", 5), 8)
+    env.reset(range(8))
+    for gap, position, one_for_all in (
+        (twin.gap, twin.position, True),
+        (env.state.walls.mean(axis=1), env.state.position, False),
+    ):
+        slots = position - position[:, :1]
+        for drawn in (gap, slots):
+            assert (len(np.unique(drawn.round(4), axis=0)) == 1) == one_for_all
+
+
 def test_discovery_pays_one_to_all_where_vmas_pays_half_per_agent_that_covers() -> None:
     landmark = row([0.0, 0.0])
     for covering, theirs in ((2, 1.0), (3, 1.5)):

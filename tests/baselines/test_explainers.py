@@ -1,25 +1,72 @@
-"""The shipped explainers: equal to PyG where they say so, and without traces."""
+"""What every shipped explainer promises: no traces, no leaks, repeatable, chunk by chunk, on any policy."""
 
 from __future__ import annotations
 
 import copy
+from importlib.metadata import entry_points
+from typing import Any
 
 import pytest
 import torch
-from torch_geometric.explain import AttentionExplainer, GraphMaskExplainer
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from torch import Tensor, nn
+from torch_geometric.explain import AttentionExplainer, GraphMaskExplainer, PGExplainer
+from xmarl_baselines import batching
 from xmarl_baselines.explainers.attention import attention
 from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
-from xmarl_baselines.explainers.gnn_explainer import gnn_explainer
 from xmarl_baselines.explainers.graphmask_pyg import graphmask_pyg
 
 from tests.baselines.reference import by_pyg
+from tests.deep_policies import Opened, one_layer, transformers, two_layers
 from tests.policies import random_observations, small_policy
+from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer, run_explainer
-from xmarl_bench.policy import complete_graph
+from xmarl_bench.policy import ModulePolicy, Policy
 from xmarl_bench.pyg import PygExplain
 
-SHIPPED = [attention, attention_rowmax, gnn_explainer, graphmask_pyg]
+SHIPPED: list[Explainer] = [
+    plugin.load()
+    for plugin in sorted(entry_points(group="xmarl_bench.explainers"), key=lambda plugin: plugin.name)
+    if plugin.dist is not None and plugin.dist.name == "xmarl-bench"
+]
+# PyG's own, unmodified: the first leaves settings on its class for whoever comes next.
+UNMODIFIED = [
+    Explainer("pg, one large weight", PygExplain(lambda: PGExplainer(epochs=2, lr=0.1, edge_size=50.0))),
+    Explainer("pg", PygExplain(lambda: PGExplainer(epochs=2, lr=0.1))),
+    Explainer("graphmask of PyG", PygExplain(lambda: GraphMaskExplainer(1, 5, log=False))),
+]
 each = pytest.mark.parametrize("explainer", SHIPPED, ids=lambda explainer: explainer.name)
+
+
+def everything_of(module: nn.Module) -> dict[str, Any]:
+    """What could be told apart from outside: weights, gradients, flags, and the hooks of every submodule."""
+    state: dict[str, Any] = {name: part.tolist() for name, part in module.state_dict().items()}
+    for name, parameter in module.named_parameters():
+        state[f"{name}.flags"] = parameter.requires_grad, parameter.grad is None
+    for name, part in module.named_modules():
+        state[f"{name}.training"] = part.training
+        for key, value in vars(part).items():
+            if "hooks" in key:
+                state[f"{name}.{key}"] = len(value)
+            elif key in ("_explain", "_edge_mask", "_loop_mask", "_apply_sigmoid"):
+                state[f"{name}.{key}"] = value
+    return state
+
+
+def test_there_is_a_file_for_every_explainer_and_a_paper_in_it() -> None:
+    names = {explainer.name for explainer in SHIPPED}
+    assert names == {
+        "attention", "attention-rowmax", "gnn_explainer", "gnn_explainer-tuned", "gradient", "graphmask",
+        "graphmask-pyg", "integrated_gradients", "occlusion", "shapley",
+    }  # fmt: skip
+    for plugin in entry_points(group="xmarl_bench.explainers"):
+        if plugin.dist is not None and plugin.dist.name == "xmarl-bench":
+            module = __import__(plugin.module, fromlist=["_"])
+            assert module.__name__.rsplit(".", 1)[1] == plugin.name.replace("-", "_")
+            card = str(module.__doc__)
+            assert "Paper" in card or "Source" in card, card
+            assert "Departures" in card or "Source: the benchmark's own" in card, card
 
 
 def test_attention_is_what_pyg_calls_attention() -> None:
@@ -31,10 +78,14 @@ def test_attention_is_what_pyg_calls_attention() -> None:
     assert not torch.allclose(mask, mask.transpose(1, 2))  # so the test would see rows and columns mixed up
 
 
-def test_the_adapter_keeps_rows_and_columns_apart() -> None:
-    policy, observations = small_policy(6, 1), random_observations(3, 4, 6)
-    mask = PygExplain(AttentionExplainer)(policy, observations, torch.Generator())
-    torch.testing.assert_close(mask, policy.prepare(observations).attention.detach(), rtol=0, atol=1e-6)
+def test_attention_of_several_heads_and_layers_sums_to_one_where_pygs_does_not() -> None:
+    policy, observations = transformers(6), random_observations(3, 4, 6)
+    mask = run_explainer(attention, policy, observations, 0)
+    torch.testing.assert_close(mask.sum(-1), torch.ones(3, 4))
+    theirs = torch.stack([by_pyg(policy, AttentionExplainer(), x) for x in observations])
+    assert float(theirs.sum(-1).max()) > 1.05
+    means = torch.stack([by_pyg(policy, AttentionExplainer(reduce="mean"), x) for x in observations])
+    torch.testing.assert_close(mask, means, rtol=0, atol=1e-6)
 
 
 def test_attention_rowmax_ranks_as_attention_and_keeps_the_best_message_whole() -> None:
@@ -46,24 +97,21 @@ def test_attention_rowmax_ranks_as_attention_and_keeps_the_best_message_whole() 
     torch.testing.assert_close(mask * alpha.amax(dim=-1, keepdim=True), alpha)
 
 
+@pytest.mark.parametrize("policy", [small_policy(6, 2), two_layers(6)], ids=["one layer", "two layers"])
 @each
-def test_an_explainer_leaves_no_trace(explainer: Explainer) -> None:
-    policy, observations = small_policy(6, 2), random_observations(2, 3, 6)
-    state = {key: tensor.clone() for key, tensor in policy.state_dict().items()}
-    names = {name for name, _ in policy.named_parameters()}
+def test_an_explainer_leaves_no_trace(explainer: Explainer, policy: Policy) -> None:
+    observations = random_observations(2, 3, 6)
+    state, seen = everything_of(policy), observations.clone()
     with torch.no_grad():
-        plain = policy(observations[0], complete_graph(3))
-    before = torch.random.get_rng_state()
-    coefficients = copy.deepcopy(GraphMaskExplainer.coeffs)
+        plain = policy.distribution(observations).loc
+    before, coefficients = torch.random.get_rng_state(), copy.deepcopy(GraphMaskExplainer.coeffs)
     # Straight, without the harness's own copies around it.
     explainer.explain(policy, observations, torch.Generator().manual_seed(1))
     assert torch.equal(torch.random.get_rng_state(), before)
-    assert all(torch.equal(tensor, state[key]) for key, tensor in policy.state_dict().items())
-    assert {name for name, _ in policy.named_parameters()} == names
-    assert all(parameter.requires_grad and parameter.grad is None for parameter in policy.parameters())
-    assert not policy.gat.explain
+    assert torch.equal(observations, seen)
+    assert everything_of(policy) == state
     with torch.no_grad():
-        assert torch.equal(policy(observations[0], complete_graph(3)), plain)
+        assert torch.equal(policy.distribution(observations).loc, plain)
     assert coefficients == GraphMaskExplainer.coeffs
 
 
@@ -77,18 +125,71 @@ def test_an_explainer_repeats_and_only_the_stochastic_depend_on_the_seed(explain
         assert torch.equal(first, run_explainer(explainer, policy, observations, 2))
 
 
-def test_seeds_matter_to_gnn_explainer_and_graphs_do_not_leak_into_one_another() -> None:
+@pytest.fixture(scope="module")
+def alone() -> dict[str, Tensor]:
+    """What each explainer says on objects of its own."""
+    return {
+        explainer.name: explainer.explain(
+            small_policy(6, 4, (8,)), random_observations(2, 3, 6), torch.Generator().manual_seed(5)
+        )
+        for explainer in [*SHIPPED, *UNMODIFIED]
+    }
+
+
+@settings(max_examples=5, deadline=None, suppress_health_check=list(HealthCheck))
+@given(order=st.permutations([*SHIPPED, *UNMODIFIED]))
+def test_no_explainer_leaks_into_the_next_whatever_the_order(
+    alone: dict[str, Tensor], order: list[Explainer]
+) -> None:
+    """On the very same objects, with no copies between: each says what it says alone."""
+    assert (alone["pg"] - alone["pg, one large weight"]).abs().max() > 0.01  # so a leak would show
+    policy, observations = small_policy(6, 4, (8,)), random_observations(2, 3, 6)
+    for explainer in order:
+        mask = explainer.explain(policy, observations, torch.Generator().manual_seed(5))
+        assert torch.equal(mask, alone[explainer.name]), explainer.name
+
+
+@each
+def test_chunks_change_nothing_but_rounding(explainer: Explainer, monkeypatch: pytest.MonkeyPatch) -> None:
+    if explainer is graphmask_pyg:
+        pytest.skip("one rounding decides which side of the midpoint a gate is on, as in PyG itself")
+    policy, observations = small_policy(6, 5), random_observations(7, 3, 6)
+    whole = run_explainer(explainer, policy, observations, 1)
+    monkeypatch.setattr(batching, "AGENTS_AT_ONCE", 6)
+    assert len(list(batching.chunks(7, 3))) == 4
+    parts = run_explainer(explainer, policy, observations, 1)
+    assert not whole.isnan().any()
+    torch.testing.assert_close(whole, parts, rtol=0, atol=1e-4)
+
+
+@each
+def test_timesteps_do_not_see_one_another(explainer: Explainer) -> None:
     policy, observations = small_policy(6, 3), random_observations(3, 3, 6)
-    one = run_explainer(gnn_explainer, policy, observations, 1)
-    assert not torch.allclose(one, run_explainer(gnn_explainer, policy, observations, 2))
+    one = run_explainer(explainer, policy, observations, 1)
     changed = observations.clone()
     changed[0] += 1.0
-    two = run_explainer(gnn_explainer, policy, changed, 1)
-    assert not torch.equal(one[0], two[0])
+    two = run_explainer(explainer, policy, changed, 1)
     assert torch.equal(one[1:], two[1:])
 
 
-@pytest.mark.parametrize("encoder", [(), (8,)], ids=["6 -> 8", "8 -> 8"])
-def test_graphmask_gives_binary_masks(encoder: tuple[int, ...]) -> None:
-    mask = run_explainer(graphmask_pyg, small_policy(6, 4, encoder), random_observations(1, 3, 6), 0)
-    assert set(mask.unique().tolist()) <= {0.0, 1.0}
+@each
+def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer) -> None:
+    policy, observations = small_policy(6, 6), random_observations(4, 3, 6)
+    fast = run_explainer(explainer, policy, observations, 3)
+    generic = run_explainer(explainer, ModulePolicy(Opened(policy), 6), observations, 3)
+    torch.testing.assert_close(fast, generic, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("policy", [one_layer(6), two_layers(6), transformers(6)], ids=["1", "2", "3"])
+@each
+def test_policies_beyond_the_fast_path_are_explained(explainer: Explainer, policy: Policy) -> None:
+    observations = random_observations(3, 4, 6)
+    if explainer is graphmask_pyg and "Transformer" in str(policy):
+        with pytest.raises(InputError, match="TransformerConv"):  # PyG's own does not work there
+            run_explainer(explainer, policy, observations, 3)
+        return
+    mask = run_explainer(explainer, policy, observations, 3)
+    changed = observations.clone()
+    changed[0] += 1.0
+    others = run_explainer(explainer, policy, changed, 3)[1:]
+    torch.testing.assert_close(mask[1:], others, rtol=0, atol=1e-5)  # objectives are uncoupled

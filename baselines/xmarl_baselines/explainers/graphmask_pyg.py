@@ -37,6 +37,7 @@ from torch_geometric.nn import MessagePassing
 
 from xmarl_baselines.batching import chunks, timestep_seeds
 from xmarl_baselines.frozen_policy import frozen
+from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import GraphPolicy, Policy
 from xmarl_bench.pyg import PygExplain
@@ -209,8 +210,14 @@ def graphmask_pyg_mask(policy: Policy, observations: Tensor, generator: torch.Ge
     """(S, N, D) -> (S, N, N) of zeros and ones."""
     if isinstance(policy, GraphPolicy):
         return batched(policy, observations, generator, SETTINGS)
-    n_layers = sum(isinstance(module, MessagePassing) for module in policy.modules())
-    return PygExplain(lambda: pyg_algorithm(n_layers, SETTINGS))(policy, observations, generator)
+    layers = [type(module).__name__ for module in policy.modules() if isinstance(module, MessagePassing)]
+    try:
+        return PygExplain(lambda: pyg_algorithm(len(layers), SETTINGS))(policy, observations, generator)
+    except TypeError as error:
+        raise InputError(
+            f"PyG's GraphMask needs layers that hand x to their messages, got {', '.join(layers)} ({error}): "
+            f"choose another explainer."
+        ) from error
 
 
 def batched(

@@ -1,0 +1,153 @@
+"""Measures what docs/metrics.md shows: writes its table and docs/metrics.png.
+
+    .venv/bin/python docs/make_metrics.py
+
+Every shipped policy, its first 10 scoring episodes, every timestep. The random rankings are drawn from a
+fixed seed, so the same policies give the same table.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+from torch import Tensor
+from xmarl_baselines.explainers.attention import attention
+from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
+from xmarl_envs import TASKS, make_task
+
+from xmarl_bench.controls import ones_mask, random_mask, self_mask
+from xmarl_bench.explainer import Explain
+from xmarl_bench.policy import Policy, load_policy
+from xmarl_bench.registry import find_policies
+from xmarl_bench.reproducible import episode_seeds, one_thread
+from xmarl_bench.rollout import roll_out
+from xmarl_bench.states import States
+
+HERE = Path(__file__).parent
+EPISODES = 10
+BEGIN, END = "<!-- measured:begin -->\n", "<!-- measured:end -->"
+METRICS = {
+    "fid_delta": "FidDelta",
+    "budgeted_fidelity": "budgeted fidelity",
+    "comm_budgeted_fidelity": "comm. budgeted fidelity",
+    "mask_mass": "mask mass",
+}
+
+
+def squeezed_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """The random mask, its values pressed into [0.9, 1]: the same ranking."""
+    return 0.9 + 0.1 * random_mask(policy, observations, generator)
+
+
+MASKS: dict[str, Explain] = {
+    "random": random_mask,
+    "random in [0.9, 1]": squeezed_mask,
+    "all ones": ones_mask,
+    "self edge only": self_mask,
+    "attention": attention.explain,
+    "attention / row max": attention_rowmax.explain,
+}
+Row = dict[str, float]
+
+
+def measure(folder: Path) -> tuple[str, dict[str, Row]]:
+    """A policy's task, and for each mask its metrics, means over episodes; the oracle last."""
+    policy, card = load_policy(folder)
+    rows: dict[str, list[Row]] = defaultdict(list)
+    with one_thread():
+        seeds = episode_seeds(0, EPISODES)
+        for episode in roll_out(make_task(card.task, card.n_agents), policy, seeds):
+            observations = torch.tensor(episode.observations)
+            states = States.of(policy, observations, np.random.default_rng(episode.seed))
+            assert states.oracle_mask is not None
+            masks = {
+                name: explain(policy, observations, torch.Generator().manual_seed(episode.seed))
+                for name, explain in MASKS.items()
+            }
+            for name, mask in {**masks, "oracle (binary)": states.oracle_mask}.items():
+                values = states.mask_metrics(mask)
+                rows[name].append({metric: _number(values[metric]) for metric in METRICS})
+    means = {
+        name: {metric: float(np.nanmean([row[metric] for row in each])) for metric in METRICS}
+        for name, each in rows.items()
+    }
+    return card.task, means
+
+
+def table(measured: dict[str, list[dict[str, Row]]]) -> str:
+    """Markdown: per task and mask the mean over policies."""
+    lines = ["| task | mask | " + " | ".join(METRICS.values()) + " |", "|---|---|" + "---|" * len(METRICS)]
+    for task, policies in measured.items():
+        for name in policies[0]:
+            means = [np.mean([policy[name][metric] for policy in policies]) for metric in METRICS]
+            lines.append(f"| {task} | {name} | " + " | ".join(f"{mean:.3f}" for mean in means) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def draw(measured: dict[str, list[dict[str, Row]]], path: Path) -> None:
+    """A column per task: FidDelta as a share of the oracle's, budgeted fidelity below; dots are policies."""
+    figure, axes = plt.subplots(2, len(measured), figsize=(11, 6.2), sharey=True, layout="constrained")
+    for column, (task, policies) in zip(axes.T, measured.items(), strict=True):
+        names = list(MASKS)
+        above = [
+            [p[name]["fid_delta"] / p["oracle (binary)"]["fid_delta"] for name in names] for p in policies
+        ]
+        _bars(column[0], names, above, "#b0563b", 0.0, 0.62)
+        column[0].set_title(task, fontsize=11)
+        column[0].set_xlabel("FidDelta, share of the best binary mask's")
+        column[0].axvline(1.0, color="0.4", linewidth=0.8)
+        for metric, colour, offset in (
+            ("budgeted_fidelity", "#8fb3d0", -0.17),
+            ("comm_budgeted_fidelity", "#1f5d93", 0.17),
+        ):
+            _bars(
+                column[1],
+                names,
+                [[p[name][metric] for name in names] for p in policies],
+                colour,
+                offset,
+                0.32,
+            )
+        column[1].set_xlabel("budgeted fidelity: 0 random, 1 best ranking")
+        for limit in (0.0, 1.0):
+            column[1].axvline(limit, color="0.4", linewidth=0.8)
+    handles = [Patch(color=colour) for colour in ("#8fb3d0", "#1f5d93")]
+    axes[1, -1].legend(handles, ["all edges", "messages alone"], fontsize=8, loc="upper right")
+    axes[0, 0].invert_yaxis()
+    figure.savefig(path, dpi=130)
+
+
+def _bars(
+    axis: Axes, names: list[str], values: list[list[float]], colour: str, offset: float, height: float
+) -> None:
+    at = np.arange(len(names)) + offset
+    axis.barh(at, np.mean(values, axis=0), height=height, color=colour)
+    for policy in values:
+        axis.plot(policy, at, ".", color="black", markersize=4)
+    axis.set_yticks(range(len(names)), names)
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def main() -> None:
+    measured: dict[str, list[dict[str, Row]]] = {task: [] for task in TASKS}
+    for folder in find_policies().values():
+        task, means = measure(folder)
+        measured[task].append(means)
+    draw(measured, HERE / "metrics.png")
+    page = HERE / "metrics.md"
+    text = page.read_text(encoding="utf-8")
+    before, after = text.split(BEGIN)[0], text.split(END)[1]
+    page.write_text(before + BEGIN + table(measured) + END + after, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -94,22 +94,20 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         if missing:
             raise ValueError(f"every live agent needs an action, none was given for {', '.join(missing)}.")
         agents = self.agents
-        step = self._vector.step(np.stack([self._action(agent, actions[agent]) for agent in agents])[None])
+        step = self._vector.step(np.array([[self._action(agent, actions[agent]) for agent in agents]]))
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
-        infos: dict[str, dict[str, Any]] = {
-            agent: {
-                self.task.success_key: bool(step.success[0, i]),
-                "agent_collision": bool(step.agent_collision[0, i]),
-                "object_collision": bool(step.object_collision[0, i]),
-            }
-            for i, agent in enumerate(agents)
-        }
+        keys = (self.task.success_key, "agent_collision", "object_collision")
+        flags = (step.success[0], step.agent_collision[0], step.object_collision[0])
+        values = zip(*(flag.tolist() for flag in flags), strict=True)
         result = (
             self._by_agent(step.observation[0]),
-            {agent: float(reward) for agent, reward in zip(agents, step.reward[0], strict=True)},
-            {agent: terminated for agent in agents},
-            {agent: truncated for agent in agents},
-            infos,
+            dict(zip(agents, step.reward[0].tolist(), strict=True)),
+            dict.fromkeys(agents, terminated),
+            dict.fromkeys(agents, truncated),
+            {
+                agent: dict(zip(keys, of_agent, strict=True))
+                for agent, of_agent in zip(agents, values, strict=True)
+            },
         )
         if terminated or truncated:
             self.agents = []

@@ -99,9 +99,9 @@ class Task(ABC):
 
 def distance(a: Floats, b: Floats) -> Floats:
     """(..., 2), (..., 2) -> (...) Euclidean distance. Written out: the same bits whatever the batch."""
-    dx = a[..., 0] - b[..., 0]
-    dy = a[..., 1] - b[..., 1]
-    return np.asarray(np.sqrt(dx * dx + dy * dy))
+    apart = a - b
+    apart *= apart
+    return np.asarray(np.sqrt(apart[..., 0] + apart[..., 1]))
 
 
 def scatter(rng: np.random.Generator, n_points: int, half_width: float, spacing: float) -> Floats:

@@ -104,7 +104,8 @@ class VectorEnv:
         self.world.step(force, live)
         self.cycles += 1
         position = self.world.position
-        near = distance(position[:, self._first], position[:, self._second])
+        # `take`: indexing an axis in the middle is 15 times slower.
+        near = distance(position.take(self._first, axis=1), position.take(self._second, axis=1))
         touching = near <= 2 * self.task.radius + self.task.collision_gap
         contacts = touching.astype(np.float64) @ self._incidence
         outcome = self.task.judge(before, self.state, contacts)

@@ -1,0 +1,51 @@
+"""The oracle beside one batched GNNExplainer, on the same states in the same run: `make bench`.
+
+1024 timesteps of the shipped navigation policy, whose decoder is the largest (256, 256): what the oracle does
+most of. `gnn_explainer_over_oracle` is the ratio of their times on one thread.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from pytest_benchmark.fixture import BenchmarkFixture
+from xmarl_baselines.explainers.gnn_explainer import gnn_explainer
+from xmarl_envs import make_task
+
+from xmarl_bench.oracle import oracle_mask
+from xmarl_bench.policy import load_policy
+from xmarl_bench.registry import find_policies
+from xmarl_bench.reproducible import one_thread
+from xmarl_bench.rollout import roll_out
+
+TIMESTEPS = 1024
+
+
+def seconds(function: Callable[[], object]) -> float:
+    started = time.perf_counter()
+    function()
+    return time.perf_counter() - started
+
+
+@pytest.mark.parametrize("n_agents", [3, 4, 5])
+def test_the_oracle_costs_less_than_one_gnn_explainer(benchmark: BenchmarkFixture, n_agents: int) -> None:
+    policies = find_policies()
+    policy, card = load_policy(next(folder for name, folder in policies.items() if "navigation" in name))
+    episodes = roll_out(make_task(card.task, n_agents), policy, range(30))
+    observations = torch.tensor(np.concatenate([each.observations for each in episodes])[:TIMESTEPS])
+    assert len(observations) == TIMESTEPS
+    generator = torch.Generator().manual_seed(0)
+
+    def ratio() -> float:
+        theirs = seconds(lambda: gnn_explainer.explain(policy, observations, generator))
+        return theirs / seconds(lambda: oracle_mask(policy, observations, generator))
+
+    with one_thread():
+        ratios = [ratio() for _ in range(3)]  # side by side: what else the machine does slows both
+        benchmark(oracle_mask, policy, observations, generator)
+    benchmark.extra_info["gnn_explainer_over_oracle"] = round(float(np.median(ratios)), 1)
+    assert np.median(ratios) > 1.0

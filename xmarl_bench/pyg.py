@@ -70,7 +70,7 @@ class PygExplain:
         return torch.stack([self._explanation(policy, x, edge_index, i)[i] for i in range(len(x))])
 
     def _explanation(self, policy: Policy, x: Tensor, edge_index: Tensor, index: int | None) -> Tensor:
-        model = _private(policy)
+        model = _private(policy, differentiable=self.effect)
         explained = _Effect(model, x) if self.effect else model
         explainer = _connect(explained, self.algorithm(), "graph" if self.effect else "node", "model")
         return _matrix(explainer(x, edge_index, index=index))
@@ -112,10 +112,13 @@ def _matrix(explanation: Explanation) -> Tensor:
     return mask.reshape(len(explanation.x), len(explanation.x)).clone()
 
 
-def _private(policy: Policy) -> Policy:
-    # No PyG algorithm trains the model; without this each backward pass computes gradients for it.
+def _private(policy: Policy, *, differentiable: bool = False) -> Policy:
+    """A copy. No algorithm trains the model: PyG's own would compute gradients of the weights for nothing.
+
+    Captum's Deconvolution and GuidedBackprop need them, for they hook every ReLU, also before the mask.
+    """
     model = copy.deepcopy(policy)
-    model.requires_grad_(False)
+    model.requires_grad_(differentiable)
     return model
 
 

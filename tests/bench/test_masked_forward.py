@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import copy
+import pickle
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch import Tensor, nn
 from torch_geometric.explain.algorithm.utils import clear_masks, set_masks
+from torch_geometric.nn import GATv2Conv, MessagePassing, SAGEConv
 
 from tests.bench.dense_reference import reference_distribution
+from tests.deep_policies import Opened, one_layer, transformers, two_layers
 from tests.policies import random_masks, random_observations, small_policy
-from xmarl_bench.policy import complete_graph
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import ModulePolicy, complete_graph
 
 
 @settings(max_examples=25, deadline=None)
@@ -109,3 +115,127 @@ def test_a_mask_of_ones_is_no_mask_to_the_bit() -> None:
         assert torch.equal(
             policy.distribution(observations).loc, policy.distribution(observations, torch.ones(40, 3, 3)).loc
         )
+
+
+@settings(max_examples=15, deadline=None)
+@given(n_agents=st.integers(1, 6), seed=st.integers(0, 1000), encoder=st.sampled_from([(), (7,)]))
+def test_the_generic_path_equals_the_fast_path(n_agents: int, seed: int, encoder: tuple[int, ...]) -> None:
+    fast = small_policy(5, seed, encoder)
+    generic = ModulePolicy(Opened(fast), 5)
+    observations = random_observations(3, n_agents, 5, seed)
+    masks = torch.stack([random_masks(3, n_agents, seed + k) for k in range(2)])
+    with torch.no_grad():
+        for mask in (None, masks[0], masks, masks[:, :1], (masks[:, :, :1] > 0.5).float()):
+            ours, theirs = generic.distribution(observations, mask), fast.distribution(observations, mask)
+            torch.testing.assert_close(ours.loc, theirs.loc, rtol=0, atol=1e-5)
+            torch.testing.assert_close(ours.scale, theirs.scale, rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(
+            generic.attention(observations), fast.attention(observations), rtol=0, atol=1e-5
+        )
+
+
+@pytest.mark.parametrize("make", [one_layer, two_layers, transformers])
+def test_a_batch_is_pyg_one_graph_at_a_time(make: Callable[[int], ModulePolicy]) -> None:
+    policy = make(6)
+    observations, masks = random_observations(4, 3, 6), random_masks(4, 3)
+    with torch.no_grad():
+        batched = policy.distribution(observations, masks).action
+        whole = policy.distribution(observations).action
+    model = copy.deepcopy(policy)
+    for s in range(4):
+        with torch.no_grad():
+            plain = model(observations[s], complete_graph(3))
+            set_masks(model, masks[s].reshape(-1), complete_graph(3), apply_sigmoid=False)
+            masked = model(observations[s], complete_graph(3))
+            clear_masks(model)
+        torch.testing.assert_close(batched[s], masked, rtol=0, atol=1e-6)
+        torch.testing.assert_close(whole[s], plain, rtol=0, atol=1e-6)
+        assert (masked - plain).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("make", [one_layer, two_layers, transformers])
+def test_gradients_of_a_batch_are_uncoupled(make: Callable[[int], ModulePolicy]) -> None:
+    policy, observations = make(6), random_observations(3, 3, 6)
+    masks = random_masks(3, 3).requires_grad_()
+    (gradient,) = torch.autograd.grad(policy.distribution(observations, masks).action[1].sum(), masks)
+    assert gradient[1].abs().max() > 1e-4
+    assert bool((gradient[[0, 2]] == 0).all())
+
+
+def test_rows_act_alone_in_one_layer_only() -> None:
+    observations = random_observations(2, 4, 6)
+    for policy, row_wise in ((small_policy(6), True), (one_layer(6), True), (two_layers(6), False)):
+        assert policy.row_wise is row_wise
+        mask = torch.ones(2, 4, 4)
+        mask[:, 1:] = random_masks(2, 4)[:, 1:]
+        with torch.no_grad():
+            difference = policy.distribution(observations, mask).loc - policy.distribution(observations).loc
+        assert (difference[:, 1:].abs().amax() > 1e-3) and (
+            (difference[:, 0].abs().amax() < 1e-6) == row_wise
+        )
+
+
+def test_a_layer_that_runs_twice_is_two_layers() -> None:
+    class Twice(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.layer = GATv2Conv(4, 4, add_self_loops=False)
+
+        def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+            out: Tensor = self.layer(self.layer(x, edge_index), edge_index)
+            return out
+
+    assert not ModulePolicy(Twice(), 4).row_wise
+
+
+def test_the_generic_path_leaves_no_trace_and_travels() -> None:
+    policy, observations = two_layers(6), random_observations(2, 3, 6)
+    with torch.no_grad():
+        before = policy(observations[0], complete_graph(3))
+        masked = policy.distribution(observations, torch.zeros(2, 3, 3)).loc
+        policy.attention(observations)
+        assert torch.equal(policy(observations[0], complete_graph(3)), before)
+        for copied in (copy.deepcopy(policy), pickle.loads(pickle.dumps(policy))):
+            assert torch.equal(copied.distribution(observations, torch.zeros(2, 3, 3)).loc, masked)
+    for module in policy.modules():
+        if isinstance(module, MessagePassing):
+            assert not module.explain
+            assert module._edge_mask is None
+            assert not module._message_forward_hooks
+            assert not module._propagate_forward_hooks
+
+
+class TeamMean(nn.Module):
+    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        return (x - x.mean(dim=0))[:, :4]
+
+
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        (GATv2Conv(6, 4), "GATv2Conv adds self loops"),
+        (GATv2Conv(6, 4, add_self_loops=False, flow="target_to_source"), "from target to source"),
+        (GATv2Conv(6, 8, add_self_loops=False), r"\(3, 8\) for 3 agents: return \(3, 4\)"),
+        (TeamMean(), "mixes the graphs of a batch"),
+    ],
+    ids=["own loops", "backwards", "width", "team mean"],
+)
+def test_a_network_that_cannot_be_masked_is_refused(network: nn.Module, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        ModulePolicy(network, 6)
+
+
+def test_a_policy_without_attention_says_so() -> None:
+    class Mean(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.layer = SAGEConv(6, 4)
+
+        def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+            out: Tensor = self.layer(x, edge_index)
+            return out
+
+    policy = ModulePolicy(Mean(), 6)
+    assert policy.row_wise
+    with pytest.raises(InputError, match="no layer that attends"):
+        policy.attention(random_observations(2, 3, 6))

@@ -20,7 +20,7 @@ def test_every_shipped_policy_scores(tmp_path: Path) -> None:
     for name, folder in policies.items():
         _, card = load_policy(folder)
         assert card.name == name
-        entry = score(name, "attention", episodes=2, timesteps=5)
+        entry = score(name, "attention", episodes=2, timesteps=5, behaviour_episodes=0)
         (cell,) = entry.results
         assert (cell.task, cell.n_agents) == (card.task, card.n_agents)
         assert cell.metrics.fid_plus.n_nan == cell.metrics.gef.n_nan == 0

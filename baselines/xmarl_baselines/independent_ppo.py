@@ -19,8 +19,7 @@ from typing import Annotated, Any
 import torch
 import typer
 from stable_baselines3 import PPO
-from stable_baselines3.common.policies import ActorCriticPolicy
-from torch import Tensor
+from torch import Tensor, nn
 from xmarl_envs import TaskParallelEnv, make_task
 from xmarl_envs.sb3_vec_env import SuperSuitVecEnv
 
@@ -41,15 +40,16 @@ class IndependentPolicy(Policy):
 
     def __init__(self, model: PPO) -> None:
         super().__init__()
-        self.actor: ActorCriticPolicy = model.policy
+        # The layers alone: SB3's policy keeps its last distribution, and so can't be copied.
+        self.mean = nn.Sequential(model.policy.mlp_extractor.policy_net, model.policy.action_net)
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
         return self.distribution(x).action
 
     def prepare(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, 2): the mean of SB3's Normal, clipped to the action space as SB3 does."""
-        mean: Tensor = self.actor.get_distribution(observation.flatten(0, -2)).mode()
-        return mean.reshape(*observation.shape[:-1], -1).clamp(-1.0, 1.0)
+        mean: Tensor = self.mean(observation)
+        return mean.clamp(-1.0, 1.0)
 
     def decode(self, prepared: Tensor, mask: Tensor | None = None) -> ActionDistribution:
         largest = 1.0 - torch.finfo(prepared.dtype).eps

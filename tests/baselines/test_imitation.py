@@ -31,9 +31,9 @@ def test_the_error_falls_and_the_scale_is_reached(task: str) -> None:
     errors: list[float] = []
     actor = actor_of(task)
     shown_all_along = 1e9  # the heuristic never hands over, so that all rounds see states of one kind
-    how = Imitation(rounds=25, n_envs=20, updates=20, batch_size=200, guided=shown_all_along)
+    how = Imitation(rounds=12, n_envs=20, updates=20, batch_size=100, guided=shown_all_along)
     imitate(actor, make_task(task), how, seed=0, report=lambda _, log: errors.append(log["imitation_error"]))
-    assert len(errors) == 25
+    assert len(errors) == 12
     assert errors[-1] < 0.8 * errors[0]
     with torch.no_grad():
         scale = actor.distribution(0.5 * torch.randn(50, 3, make_task(task).obs_dim)).scale

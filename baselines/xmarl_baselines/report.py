@@ -1,0 +1,226 @@
+"""baselines/README.md and docs/learning.png, written from the cards of the shipped policies and the controls.
+
+    python -m xmarl_baselines.report [--zero-shot]
+
+Nothing in the tables is typed. `--zero-shot` measures every navigation policy with more agents than it was
+trained with (minutes) into zero_shot.json; without it the file is used as it is.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from pathlib import Path
+from statistics import median
+from typing import Annotated, Any
+
+import typer
+
+from xmarl_baselines.independent_ppo import CONTROLS
+from xmarl_baselines.policies import shipped_policies
+from xmarl_bench.evaluation import Performance, evaluate
+from xmarl_bench.files import write_atomically, write_json
+from xmarl_bench.policy import PolicyCard, load_policy
+from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.report import Row, markdown, performance_rows
+from xmarl_bench.request import Cell, Sampling
+
+ROOT = Path(__file__).parent.parent.parent
+README = ROOT / "baselines" / "README.md"
+PICTURE = ROOT / "docs" / "learning.png"
+ZERO_SHOT = Path(__file__).parent / "zero_shot.json"
+EPISODES = 200
+
+# Kailas et al. (ICML 2025), table of task performance: success, no agent collision, no object collision,
+# makespan, without and with the attention-entropy term.
+PAPER: dict[tuple[str, int], tuple[tuple[float | None, ...], tuple[float | None, ...]]] = {
+    ("blind_navigation_v0", 3): ((0.99, 1.0, None, 48.45), (0.99, 1.0, None, 48.99)),
+    ("blind_navigation_v0", 4): ((0.96, 0.98, None, 61.41), (0.94, 1.0, None, 64.18)),
+    ("blind_navigation_v0", 5): ((0.80, 0.94, None, 200.92), (0.90, 0.94, None, 175.86)),
+    ("blind_passage_v0", 3): ((1.0, 0.30, 0.0, 45.445), (1.0, 0.69, 0.06, 49.015)),
+    ("blind_passage_v0", 4): ((0.69, 0.58, 0.0, 119.505), (1.0, 0.32, 0.0, 119.675)),
+    ("blind_passage_v0", 5): ((0.91, 0.11, 0.0, 84.885), (0.99, 0.22, 0.0, 100.2)),
+    ("blind_discovery_v0", 3): ((0.92, None, None, 112.38), (0.87, None, None, 145.19)),
+    ("blind_discovery_v0", 4): ((0.99, None, None, 95.16), (0.95, None, None, 134.79)),
+    ("blind_discovery_v0", 5): ((0.92, None, None, 113.25), (0.95, None, None, 108.95)),
+}
+MEASURES = {
+    "success": "success_rate",
+    "no agent collision": "no_agent_collision",
+    "no wall contact": "no_object_collision",
+    "makespan": "makespan",
+}
+
+
+def shipped_cards() -> list[PolicyCard]:
+    return [load_card(folder) for folder in shipped_policies().values()]
+
+
+def final(cards: list[PolicyCard]) -> list[PolicyCard]:
+    """Without the checkpoints along training."""
+    return [card for card in cards if "percent" not in card.training]
+
+
+def cell_rows(cards: list[PolicyCard]) -> list[Row]:
+    """One row per task, team size and with or without the term: best seed, median of the seeds, paper."""
+    cells: defaultdict[tuple[str, int, bool], list[PolicyCard]] = defaultdict(list)
+    for card in final(cards):
+        cells[card.task, card.n_agents, card.attention_entropy > 0].append(card)
+    rows: list[Row] = []
+    for (task, n_agents, regularised), group in sorted(cells.items()):
+        best = max(group, key=success)
+        row: Row = {"task": task, "agents": n_agents, "lambda": best.attention_entropy, "seeds": len(group)}
+        for (title, name), theirs in zip(MEASURES.items(), PAPER[task, n_agents][regularised], strict=True):
+            values = [card.performance["with_messages"][name] for card in group]
+            mine = best.performance["with_messages"][name]
+            digits = 0 if name == "makespan" else 2
+            if mine is None or theirs is None:
+                row[title] = "-" if mine is None else f"{mine:.{digits}f} ({median(values):.{digits}f})"
+            else:
+                row[title] = f"{mine:.{digits}f} ({median(values):.{digits}f}), paper {theirs:.{digits}f}"
+        row["success without messages"] = f"{best.performance['without_messages']['success_rate']:.2f}"
+        row["attention entropy"] = f"{best.performance['attention_entropy']:.2f}"
+        row["best seed"] = best.name
+        rows.append(row)
+    return rows
+
+
+def success(card: PolicyCard) -> tuple[float, float]:
+    """What the best seed of a cell is chosen by: success to two digits, then fewer collisions."""
+    heard = card.performance["with_messages"]
+    free = [heard[name] for name in ("no_agent_collision", "no_object_collision") if heard[name] is not None]
+    return round(heard["success_rate"], 2), sum(free)
+
+
+def policy_rows(cards: list[PolicyCard]) -> list[Row]:
+    rows = performance_rows(cards, [Performance(**card.performance) for card in cards])
+    for row, card in zip(rows, cards, strict=True):
+        row["frames (M)"] = f"{card.training['frames'] / 1e6:.1f}"
+        row["minutes"] = f"{card.training['seconds'] / 60:.0f}"
+        row["weights (sha256)"] = card.weights_sha256[:12]
+    return rows
+
+
+def control_rows() -> list[Row]:
+    rows: list[Row] = []
+    for path in sorted(CONTROLS.glob("*.json")):
+        record = json.loads(path.read_text())
+        heard = record["performance"]["with_messages"]
+        row: Row = {"control": record["name"]}
+        for title, name in MEASURES.items():
+            row[title] = "-" if heard[name] is None else f"{heard[name]:.{0 if name == 'makespan' else 2}f}"
+        rows.append(
+            {**row, "frames (M)": f"{record['frames'] / 1e6:.1f}", "command": f"`{record['command']}`"}
+        )
+    return rows
+
+
+def measure_zero_shot() -> None:
+    """Every navigation policy with 1, 2 and 3 agents more than it knows, into ZERO_SHOT."""
+    chosen = [card for card in final(shipped_cards()) if card.task == "blind_navigation_v0"]
+    pairs = [
+        (load_policy(shipped_policies()[card.name])[0], Cell(card.task, card.n_agents + more))
+        for card in chosen
+        for more in (1, 2, 3)
+    ]
+    performances = evaluate(pairs, Sampling(episodes=EPISODES), jobs=2, progress=True)
+    names = [card.name for card in chosen for _ in (1, 2, 3)]
+    write_json(
+        ZERO_SHOT,
+        [{"policy": name, **each.record()} for name, each in zip(names, performances, strict=True)],
+    )
+
+
+def zero_shot_rows() -> list[Row]:
+    if not ZERO_SHOT.exists():
+        return []
+    rows: list[Row] = []
+    for record in json.loads(ZERO_SHOT.read_text()):
+        heard: dict[str, Any] = record["with_messages"]
+        rows.append(
+            {
+                "policy": record["policy"],
+                "tested with": record["n_agents"],
+                "success": f"{heard['success_rate']:.2f}",
+                "no agent collision": f"{heard['no_agent_collision']:.2f}",
+                "makespan": f"{heard['makespan']:.0f}",
+            }
+        )
+    return rows
+
+
+def tables() -> dict[str, str]:
+    """The tables of baselines/README.md, by the name between its markers."""
+    cards = shipped_cards()
+    return {
+        "cells": markdown(cell_rows(cards)),
+        "policies": markdown(policy_rows(cards)),
+        "controls": markdown(control_rows()),
+        "zero-shot": markdown(zero_shot_rows()),
+    }
+
+
+def filled(text: str) -> str:
+    """The README with its tables as they are now."""
+    for name, table in tables().items():
+        begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+        head, rest = text.split(begin)
+        text = f"{head}{begin}\n{table}\n{end}{rest.split(end)[1]}"
+    return text
+
+
+def draw(path: Path) -> None:
+    """Success and collision-free rate on the validation episodes along training, one panel per task."""
+    import matplotlib  # of the `dev` extra
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    cards = [card for card in final(shipped_cards()) if card.training.get("curve")]  # older ones have none
+    names = sorted({card.task for card in cards})
+    figure, panels = pyplot.subplots(
+        2, len(names), figsize=(11, 5.5), sharex="col", sharey=True, squeeze=False
+    )
+    colours = {3: "#0072b2", 4: "#d55e00", 5: "#009e73"}
+    for column, task in enumerate(names):
+        for card in cards:
+            if card.task != task:
+                continue
+            curve = card.training["curve"]
+            frames = [record["frames"] / 1e6 for record in curve]
+            style = "--" if card.attention_entropy else "-"
+            for row, name in enumerate(("success_rate", "no_agent_collision")):
+                panels[row, column].plot(
+                    frames, [record[name] for record in curve], style, color=colours[card.n_agents],
+                    linewidth=1.2, label=f"N = {card.n_agents}" + (", regularised" if style == "--" else ""),
+                )  # fmt: skip
+        panels[0, column].set_title(task)
+        panels[1, column].set_xlabel("MAPPO frames (millions of team-steps)")
+    panels[0, 0].set_ylabel("success rate")
+    panels[1, 0].set_ylabel("episodes without agent collision")
+    for panel in panels.flat:
+        panel.set_ylim(-0.02, 1.02)
+        panel.grid(alpha=0.25)
+    named = [panel.get_legend_handles_labels() for panel in panels[0]]
+    unique = {
+        label: handle for handles, labels in named for handle, label in zip(handles, labels, strict=True)
+    }
+    unique = dict(sorted(unique.items()))
+    figure.legend(unique.values(), unique.keys(), loc="lower center", ncols=len(unique), frameon=False)
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+
+
+def main(
+    zero_shot: Annotated[bool, typer.Option("--zero-shot", help="measure larger teams again")] = False,
+) -> None:
+    """Write the tables of baselines/README.md and the picture of the learning curves."""
+    if zero_shot:
+        measure_zero_shot()
+    write_atomically(README, filled(README.read_text(encoding="utf-8")).encode())
+    draw(PICTURE)
+
+
+if __name__ == "__main__":
+    typer.run(main)

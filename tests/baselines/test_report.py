@@ -1,0 +1,72 @@
+"""The tables of the reference policies are what their cards say; the control and the checkpoints are real."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from xmarl_baselines import independent_ppo, ship
+from xmarl_baselines.policies import HERE
+from xmarl_baselines.report import PAPER, README, cell_rows, draw, filled, final, shipped_cards
+
+from xmarl_bench.policy import PolicyCard, load_policy
+
+
+def test_the_tables_are_not_stale() -> None:
+    text = README.read_text(encoding="utf-8")
+    assert filled(text) == text, "run `python -m xmarl_baselines.report`"
+
+
+def test_a_cell_states_best_median_and_paper() -> None:
+    def card(seed: int, success: float) -> PolicyCard:
+        heard = {
+            "success_rate": success,
+            "no_agent_collision": 0.5,
+            "no_object_collision": None,
+            "makespan": 9.0,
+        }
+        example = final(shipped_cards())[0]
+        performance = {**example.performance, "with_messages": heard}
+        update = {
+            "name": f"x-seed{seed}",
+            "task": "blind_navigation_v0",
+            "n_agents": 3,
+            "attention_entropy": 0.0,
+        }
+        return example.model_copy(update={**update, "performance": performance})
+
+    (row,) = cell_rows([card(0, 0.7), card(1, 0.9), card(2, 0.8)])
+    assert row["success"] == "0.90 (0.80), paper 0.99"
+    assert row["no wall contact"] == "-"
+    assert (row["best seed"], row["seeds"]) == ("x-seed1", 3)
+    assert len(PAPER) == 9
+
+
+def test_the_picture_is_drawn(tmp_path: Path) -> None:
+    draw(tmp_path / "learning.png")
+    assert (tmp_path / "learning.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_all_shipped_policies_together_are_small() -> None:
+    assert sum(path.stat().st_size for path in HERE.rglob("*") if path.is_file()) < 30 * 2**20
+
+
+def test_independent_agents_hear_nobody() -> None:
+    model = independent_ppo.train("blind_discovery_v0", n_agents=2, frames=1, seed=0)
+    policy = independent_ppo.IndependentPolicy(model)
+    x = torch.randn(4, 2, 5)
+    loc = policy.distribution(x).loc
+    assert torch.equal(policy.distribution(x, torch.eye(2).expand(4, 2, 2)).loc, loc)
+    sb3, _ = model.predict(x.reshape(-1, 5).numpy(), deterministic=True)
+    torch.testing.assert_close(policy.distribution(x).action.reshape(-1, 2), torch.from_numpy(sb3))
+
+
+@pytest.mark.skipif(not list(HERE.glob("*-at100")), reason="no checkpoints along training are shipped")
+def test_the_last_checkpoint_along_training_is_no_earlier_than_the_best() -> None:
+    for folder in HERE.glob("*-at100"):
+        _, last = load_policy(folder)
+        _, best = load_policy(HERE / folder.name.removesuffix("-at100"))
+        assert last.training["validation"]["frames"] == best.training["curve"][-1]["frames"]
+        assert best.training["validation"]["frames"] <= last.training["validation"]["frames"]
+        assert set(ship.ALONG_TRAINING) == {20, 50, 80, 100}

@@ -55,7 +55,7 @@ class IndependentPolicy(Policy):
         largest = 1.0 - torch.finfo(prepared.dtype).eps
         loc = torch.atanh(prepared.clamp(-largest, largest))
         if mask is not None:
-            loc = loc.expand(*mask.shape[:-2], *loc.shape[-2:])
+            loc = loc.broadcast_to(torch.broadcast_shapes(loc.shape, (*mask.shape[:-1], loc.shape[-1])))
         return ActionDistribution(loc, torch.ones_like(loc))
 
     def attention(self, observation: Tensor) -> Tensor:

@@ -57,7 +57,8 @@ def test_independent_agents_hear_nobody() -> None:
     policy = independent_ppo.IndependentPolicy(model)
     x = torch.randn(4, 2, 5)
     loc = policy.distribution(x).loc
-    assert torch.equal(policy.distribution(x, torch.eye(2).expand(4, 2, 2)).loc, loc)
+    for mask in (torch.eye(2), torch.eye(2).expand(4, 2, 2)):
+        assert torch.equal(policy.distribution(x, mask).loc, loc)
     sb3, _ = model.predict(x.reshape(-1, 5).numpy(), deterministic=True)
     torch.testing.assert_close(policy.distribution(x).action.reshape(-1, 2), torch.from_numpy(sb3))
 

@@ -18,8 +18,8 @@ def made() -> dict[str, Image.Image]:
     return pictures
 
 
-def test_no_picture_is_missing_or_left_over(made: dict[str, Image.Image]) -> None:
-    assert {path.name for path in DOCS.glob("*.png")} == set(made)
+def test_no_picture_is_missing(made: dict[str, Image.Image]) -> None:
+    assert set(made) <= {path.name for path in DOCS.glob("*.png")}
 
 
 @pytest.mark.parametrize("name", ["tasks", "blind_navigation_v0", "blind_passage_v0", "blind_discovery_v0"])
@@ -28,4 +28,4 @@ def test_pictures_are_up_to_date(name: str, made: dict[str, Image.Image]) -> Non
     with Image.open(DOCS / f"{name}.png") as image:
         kept = np.asarray(image.convert("RGB")).astype(int)
     assert kept.shape == np.asarray(made[f"{name}.png"]).shape
-    assert np.abs(kept - np.asarray(made[f"{name}.png"])).mean() < 0.5
+    assert np.abs(kept - np.asarray(made[f"{name}.png"])).mean() < 0.3

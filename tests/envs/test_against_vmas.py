@@ -210,6 +210,8 @@ def test_spawns_have_the_same_distribution(name: str, n_agents: int) -> None:
         np.testing.assert_allclose(position - position[:, :1], targets - targets[:, :1], atol=1e-6)
     ours = features(name, agents, goals, gap)
     assert smallest_p(ours, theirs) > 0.01
+    if gap is not None:
+        assert set(ours["gap"]) == set(theirs["gap"]) == set(range(20))
     # The test would see another spawn: it sees a square that is smaller by a tenth.
     smaller = features(name, 0.9 * agents, 0.9 * goals, gap)
     assert smallest_p(smaller, theirs) < 1e-3

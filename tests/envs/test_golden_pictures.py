@@ -48,7 +48,7 @@ def drawn(name: str) -> NDArray[np.uint8]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_pictures_look_as_they_did(name: str) -> None:
-    """Up to what another processor's rounding may change: nothing here."""
+    """Exactly, with the pygame of constraints.txt; pygame-ce draws circles and text otherwise."""
     with Image.open(GOLDEN / f"{name}.png") as image:
         golden = np.asarray(image.convert("RGB")).astype(int)
     picture = drawn(name)

@@ -111,7 +111,7 @@ def test_graphmask_drops_messages_and_keeps_the_action(name: str) -> None:
     error = relative_error(policy, observations, mask)
     shuffled = mask.flatten(1)[:, torch.randperm(9, generator=torch.Generator().manual_seed(0))].view_as(mask)
     assert error.median() < 0.45  # silence is 1; the worst policy here has 0.39
-    assert error.median() < 0.5 * relative_error(policy, observations, shuffled).median()
+    assert error.median() < 0.7 * relative_error(policy, observations, shuffled).median()
 
 
 def test_without_a_constraint_every_gate_closes_and_without_a_price_the_action_is_kept() -> None:

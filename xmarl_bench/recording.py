@@ -38,7 +38,7 @@ class Recording:
     success_rate: float  # fraction of agents at their goals when it ended; discovery: 1 if found
 
     def explain(self, explainer: Explainer, cycles: Sequence[int]) -> NDArray[np.float32]:
-        """(S, N, N): masks of the chosen steps, the ones that are scored if all steps are chosen.
+        """(S, N, N): masks of the chosen steps; if all steps are chosen, those that are scored.
 
         Raises InputError where no policy acted, or for what goes wrong in the explainer.
         """

@@ -93,8 +93,6 @@ class BehaviourRow(Record):
     success_on_complement: float | None
     reward_on_explanation: float | None
     reward_on_complement: float | None
-    no_agent_collision_on_explanation: float | None
-    no_agent_collision_on_complement: float | None
     behavioural_fidelity: float | None
 
 
@@ -144,8 +142,6 @@ class BehaviourMetrics(Record):
     success_on_complement: Summary | None
     reward_on_explanation: Summary | None
     reward_on_complement: Summary | None
-    no_agent_collision_on_explanation: Summary | None
-    no_agent_collision_on_complement: Summary | None
     behavioural_fidelity: Summary | None
 
 

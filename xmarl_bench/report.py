@@ -162,7 +162,14 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
                 )
             shown.add_section()
         console.print(shown)
-    _print_costs(entries)
+    for entry in entries:
+        cost, timesteps = entry.cost, entry.cost.explained_timesteps
+        print(
+            f"{entry.policy.name}, {entry.explainer.name}: {timesteps} timesteps explained in "
+            f"{cost.explain_seconds_per_timestep * timesteps:.1f} s, acted on in "
+            f"{cost.behaviour_seconds:.1f} s; oracle and controls, once per policy, "
+            f"{cost.shared_seconds_per_timestep * timesteps:.1f} s."
+        )
     slow = [explainer.name for explainer in used if explainer.slow]
     limited = [entry.protocol for entry in entries if entry.explainer.name in slow]
     if limited and any(entry.protocol != limited[0] for entry in entries):
@@ -172,21 +179,6 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
             f"Slow explainers ({', '.join(slow)}) were given fewer states: {few.episodes} episodes{steps}. "
             f"The others were scored on these as well, to be compared with them, and on all states."
         )
-
-
-def _print_costs(entries: Sequence[Entry]) -> None:
-    """A line per policy and sampling: seconds of each explainer, and what all of them share."""
-    lines: dict[str, list[str]] = {}
-    for entry in entries:
-        cost, timesteps = entry.cost, entry.cost.explained_timesteps
-        shared = cost.shared_seconds_per_timestep * timesteps
-        head = f"{entry.policy.name}, {timesteps} timesteps: oracle, controls {shared:.1f} s; masks (acting on them)"
-        acted = f" ({cost.behaviour_seconds:.1f})" if cost.behaviour_seconds else ""
-        lines.setdefault(head, []).append(
-            f"{entry.explainer.name} {cost.explain_seconds_per_timestep * timesteps:.1f}{acted} s"
-        )
-    for head, parts in lines.items():
-        print(f"{head}: {', '.join(parts)}.")
 
 
 def _number(summary: dict[str, Any] | None) -> str:

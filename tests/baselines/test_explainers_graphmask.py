@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from torch import Tensor
 from torch_geometric.explain import GraphMaskExplainer
 from xmarl_baselines.batching import timestep_seeds
 from xmarl_baselines.explainers.graphmask import (
     GraphMaskSettings,
     graphmask,
-    kept,
     optimise_gates,
     uniform_noise,
 )
@@ -89,7 +90,7 @@ def test_graphmask_pyg_gives_binary_masks(encoder: tuple[int, ...]) -> None:
 def gated(policy: GraphPolicy, observations: Tensor, settings: GraphMaskSettings, seed: int = 0) -> Tensor:
     seeds = timestep_seeds(len(observations), torch.Generator().manual_seed(seed))
     noise = uniform_noise(settings.epochs, observations.shape[1], seeds)
-    return kept(optimise_gates(frozen(policy), observations, noise, settings))
+    return optimise_gates(frozen(policy), observations, noise, settings)
 
 
 def relative_error(policy: GraphPolicy, observations: Tensor, mask: Tensor) -> Tensor:
@@ -103,23 +104,27 @@ def relative_error(policy: GraphPolicy, observations: Tensor, mask: Tensor) -> T
 
 
 @pytest.mark.parametrize("name", TRAINED)
-def test_graphmask_drops_messages_and_keeps_the_action(name: str) -> None:
+def test_graphmask_drops_messages_and_keeps_the_action_within_the_allowance(name: str) -> None:
     policy, observations = trained(name, 30)
     mask = run_explainer(graphmask, policy, observations, 0)
     assert set(mask.unique().tolist()) == {0.0, 1.0}
-    assert 0.1 < float(mask.mean()) < 0.9
-    error = relative_error(policy, observations, mask)
+    assert float(mask.mean()) < 0.9
+    assert relative_error(policy, observations, mask).max() <= 0.0101  # 0.01 and rounding
     shuffled = mask.flatten(1)[:, torch.randperm(9, generator=torch.Generator().manual_seed(0))].view_as(mask)
-    assert error.median() < 0.45  # silence is 1; the worst policy here has 0.39
-    assert error.median() < 0.7 * relative_error(policy, observations, shuffled).median()
+    assert relative_error(policy, observations, shuffled).mean() > 0.1
 
 
-def test_without_a_constraint_every_gate_closes_and_without_a_price_the_action_is_kept() -> None:
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000), n_agents=st.integers(1, 5), allowance=st.sampled_from([0.0, 0.01, 0.3]))
+def test_the_constraint_holds_at_every_timestep(seed: int, n_agents: int, allowance: float) -> None:
+    policy, observations = small_policy(6, seed), random_observations(4, n_agents, 6, seed)
+    mask = gated(policy, observations, GraphMaskSettings(allowance=allowance, epochs=30))
+    assert relative_error(policy, observations, mask).max() <= allowance + 1e-4
+
+
+def test_without_a_constraint_every_gate_closes() -> None:
     policy, observations = small_policy(6, 3), random_observations(20, 4, 6)
-    free = gated(policy, observations, GraphMaskSettings(allowance=1e9, epochs=200))
-    assert bool((free == 0).all())
-    dear = gated(policy, observations, GraphMaskSettings(scaling=0.001, allowance=0.0))
-    assert relative_error(policy, observations, dear).median() < 0.02
+    assert bool((gated(policy, observations, GraphMaskSettings(allowance=1e9)) == 0).all())
 
 
 def test_a_larger_allowance_keeps_fewer_messages() -> None:
@@ -128,14 +133,15 @@ def test_a_larger_allowance_keeps_fewer_messages() -> None:
     assert few < 0.8 * many
 
 
-def test_the_multiplier_is_kept_from_step_to_step() -> None:
-    """PyG makes it anew in every step, so that a broken constraint never weighs more."""
-    policy, observations = trained(TRAINED[1], 40)
-    settings = GraphMaskSettings(scaling=5.0, epochs=200)
-    still = gated(policy, observations, replace(settings, lambda_lr=0.0))
-    rising = gated(policy, observations, settings)
-    errors = [relative_error(policy, observations, mask).mean() for mask in (still, rising)]
-    assert errors[1] < 0.7 * errors[0]
+def test_it_finds_the_senders_that_matter() -> None:
+    """Agents 1 and 2 are silent everywhere: the senders that matter are 0 and 3."""
+    policy, observations = small_policy(6, 1, encoder=()), random_observations(20, 4, 6)
+    with torch.no_grad():
+        policy.gat.lin_l.bias.zero_()
+    observations[:, 1:3] = 0.0
+    mask = run_explainer(graphmask, policy, observations, 0)
+    assert mask[:, :, 1:3].mean() < 0.1
+    assert mask[:, :, [0, 3]].mean() > 0.4
 
 
 def test_timesteps_do_not_see_one_another() -> None:

@@ -11,8 +11,9 @@ Masking" (ICLR 2021). Formula, for one timestep, with a gate z per edge and a mu
 z hard concrete (Louizos et al., ICLR 2018): s = sigmoid((logit(u) + a) / beta), u uniform, a = w + location;
 z = clip(s (zeta - gamma) + gamma, 0, 1), then 0 or 1 by the threshold 0.5 with the gradient of what was
 thresholded; P(z > 0) = sigmoid(a - beta log(-gamma / zeta)). Adam on w, centred RMSprop on lambda, which goes
-on from step to step and stays in [-2, 30]. The mask holds the gates without noise and temperature, as 0 or 1.
-beta, gamma, zeta, location and first lambda are those of the authors' code.
+on from step to step and stays in [-2, 30]. As in the authors' code, the gates are read without noise and
+temperature every few steps, and the mask of 0 and 1 kept is the one with the fewest messages among those with
+D <= allowance, which the mask of ones always is. beta, gamma, zeta, location and first lambda are theirs too.
 
 Departures from the paper:
 - w is a logit per edge and timestep, not a network of the hidden states: the paper's own non-amortised
@@ -22,11 +23,11 @@ Departures from the paper:
   made for classifiers; actions change by so little that all masks come out empty under it.
 - 100 steps for each timestep instead of epochs over a dataset, so both learning rates are larger: 0.1. They
   and the allowance were chosen on two throwaway policies (discovery and navigation, 4 agents, training seed
-  9001, never scored) run with 3 and 5 agents, among 19 settings, by FidDelta over the oracle's and
-  communication-only budgeted fidelity: 0.68 and 0.65 there.
+  9001, never scored) run with 3 and 5 agents, among 28 settings, by FidDelta over the oracle's and
+  communication-only budgeted fidelity: 0.93 and 0.66 there.
 
 Departures from torch_geometric 2.8.1 (`graphmask-pyg`), beside these: messages are those of the policy,
-observations are not scaled by a mask of features, lambda is kept, and the threshold is 0.5.
+observations are not scaled by a mask of features, lambda is kept, the threshold is 0.5, the constraint holds.
 """
 
 from __future__ import annotations
@@ -58,6 +59,7 @@ class GraphMaskSettings:
     allowance: float = 0.01  # tolerated D(z)
     init_lambda: float = 0.55
     lambda_lr: float = 0.1
+    read_every: int = 5  # steps between looks at the gates without noise
 
 
 def uniform_noise(epochs: int, n_agents: int, seeds: list[int]) -> Tensor:
@@ -73,36 +75,44 @@ def uniform_noise(epochs: int, n_agents: int, seeds: list[int]) -> Tensor:
 def optimise_gates(
     policy: Policy, observations: Tensor, noise: Tensor, settings: GraphMaskSettings
 ) -> Tensor:
-    """One chunk: (S, N, D) observations, (epochs, S, N, N) uniform noise -> gate logits a (S, N, N)."""
+    """One chunk: (S, N, D) observations, (epochs, S, N, N) uniform noise -> masks (S, N, N) of 0 and 1."""
     with torch.no_grad():
         prepared = policy.prepare(observations)
         target = policy.decode(prepared).action
         silent = policy.decode(prepared, torch.zeros_like(noise[0])).action
     # Where removing everything changes nothing, D is 0 and every gate closes.
     largest = _squared_distance(target, silent).clamp_min(torch.finfo(target.dtype).tiny)
+
+    def error(mask: Tensor) -> Tensor:
+        return _squared_distance(target, policy.decode(prepared, mask).action) / largest  # (S,)
+
     w = torch.zeros_like(noise[0], requires_grad=True)
     multiplier = torch.full_like(largest, settings.init_lambda, requires_grad=True)
     gates = torch.optim.Adam([w], lr=settings.lr)
     ascent = torch.optim.RMSprop([multiplier], lr=settings.lambda_lr, centered=True, maximize=True)
-    with torch.enable_grad():
-        for u in noise:
+    kept = torch.ones_like(noise[0])
+    for step, u in enumerate(noise, start=1):
+        with torch.enable_grad():
             a = w + settings.location
-            z = _straight_through(torch.sigmoid((torch.logit(u) + a) / BETA) * (ZETA - GAMMA) + GAMMA)
-            error = _squared_distance(target, policy.decode(prepared, z).action) / largest
-            violation = torch.relu(error - settings.allowance)
+            z = _straight_through(_stretch(torch.sigmoid((torch.logit(u) + a) / BETA)))
+            violation = torch.relu(error(z) - settings.allowance)
             open_share = torch.sigmoid(a - BETA * math.log(-GAMMA / ZETA)).mean(dim=(-2, -1))
             loss = settings.scaling * open_share + torch.nn.functional.softplus(multiplier) * violation
             w.grad, multiplier.grad = torch.autograd.grad(loss.sum(), [w, multiplier])
-            gates.step()
-            ascent.step()
-            with torch.no_grad():
-                multiplier.clamp_(MIN_LAMBDA, MAX_LAMBDA)
-    return w.detach() + settings.location
+        gates.step()
+        ascent.step()
+        with torch.no_grad():
+            multiplier.clamp_(MIN_LAMBDA, MAX_LAMBDA)
+            if step % settings.read_every == 0:
+                mask = (_stretch(torch.sigmoid(w + settings.location)) > THRESHOLD).to(w.dtype)
+                fewer = mask.sum(dim=(-2, -1)) < kept.sum(dim=(-2, -1))
+                better = fewer & (error(mask) <= settings.allowance)
+                kept = torch.where(better[:, None, None], mask, kept)
+    return kept
 
 
-def kept(logits: Tensor) -> Tensor:
-    """Gate logits a -> 1 where the gate is open without noise, else 0."""
-    return (torch.sigmoid(logits) * (ZETA - GAMMA) + GAMMA > THRESHOLD).float()
+def _stretch(s: Tensor) -> Tensor:
+    return s * (ZETA - GAMMA) + GAMMA
 
 
 def _straight_through(stretched: Tensor) -> Tensor:
@@ -118,13 +128,14 @@ def graphmask_mask(policy: Policy, observations: Tensor, generator: torch.Genera
     """(S, N, D) -> (S, N, N) of zeros and ones."""
     n_steps, n_agents, _ = observations.shape
     policy, seeds = frozen(policy), timestep_seeds(n_steps, generator)
-    logits = [
-        optimise_gates(
-            policy, observations[steps], uniform_noise(SETTINGS.epochs, n_agents, seeds[steps]), SETTINGS
-        )
-        for steps in chunks(n_steps, n_agents)
-    ]
-    return kept(torch.cat(logits))
+    return torch.cat(
+        [
+            optimise_gates(
+                policy, observations[steps], uniform_noise(SETTINGS.epochs, n_agents, seeds[steps]), SETTINGS
+            )
+            for steps in chunks(n_steps, n_agents)
+        ]
+    )
 
 
 SETTINGS = GraphMaskSettings()
@@ -132,7 +143,7 @@ SETTINGS = GraphMaskSettings()
 graphmask = Explainer(
     "graphmask",
     graphmask_mask,
-    "GraphMask after its paper: hard-concrete gates per timestep, true messages",
+    "GraphMask after its paper: the fewest messages that nearly keep the action",
     stochastic=True,
     hyperparameters=asdict(SETTINGS),
 )

@@ -15,10 +15,10 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 from torch_geometric.explain import ExplainerAlgorithm, GNNExplainer, GraphMaskExplainer
-
-from tests.baselines.reference import by_pyg, trained
 from xmarl_baselines.explainers.gnn_explainer import gnn_explainer
 from xmarl_baselines.explainers.graphmask import graphmask
+
+from tests.baselines.reference import by_pyg, trained
 from xmarl_bench.explainer import Explainer, run_explainer
 
 N_STEPS, GRAPHS, ROUNDS = 1024, 5, 3
@@ -54,7 +54,9 @@ def test_beside_pyg_one_graph_at_a_time(
         for seed in range(GRAPHS):
             by_pyg(policy, algorithm(), few[seed * 12], seed)
         theirs.append((time.process_time() - started) / GRAPHS)
-    benchmark.pedantic(run_explainer, (explainer, policy, observations, 0), rounds=ROUNDS)
+    benchmark.pedantic(  # type: ignore[no-untyped-call]  # type: ignore[no-untyped-call]
+        run_explainer, (explainer, policy, observations, 0), rounds=ROUNDS
+    )
     if benchmark.stats is not None:
         ours = benchmark.stats.stats.min / N_STEPS
         benchmark.extra_info["pyg_ms"] = round(1e3 * min(theirs), 1)

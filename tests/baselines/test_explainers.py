@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import subprocess
+import sys
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -193,3 +195,26 @@ def test_policies_beyond_the_fast_path_are_explained(explainer: Explainer, polic
     changed[0] += 1.0
     others = run_explainer(explainer, policy, changed, 3)[1:]
     torch.testing.assert_close(mask[1:], others, rtol=0, atol=1e-5)  # objectives are uncoupled
+
+
+PEAK = """
+import resource, sys
+from importlib.metadata import entry_points
+from tests.policies import random_observations, small_policy
+from xmarl_bench.explainer import run_explainer
+(plugin,) = [p for p in entry_points(group="xmarl_bench.explainers") if p.name == sys.argv[1]]
+for n_steps in (1024, 8192):  # chunks are of 512 timesteps at N = 8
+    run_explainer(plugin.load(), small_policy(6), random_observations(n_steps, 8, 6), 0)
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["gnn_explainer", "shapley"])
+def test_peak_memory_is_bounded_by_the_chunk(name: str) -> None:
+    """In a process of its own, for a process's peak never falls. In kilobytes."""
+    ran = subprocess.run(
+        [sys.executable, "-c", PEAK, name], capture_output=True, text=True, check=True, timeout=300
+    )
+    few, many = (int(line) for line in ran.stdout.split())
+    assert many - few < 30_000, (few, many)

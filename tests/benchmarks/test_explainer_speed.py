@@ -54,7 +54,7 @@ def test_beside_pyg_one_graph_at_a_time(
         for seed in range(GRAPHS):
             by_pyg(policy, algorithm(), few[seed * 12], seed)
         theirs.append((time.process_time() - started) / GRAPHS)
-    benchmark.pedantic(  # type: ignore[no-untyped-call]  # type: ignore[no-untyped-call]
+    benchmark.pedantic(  # type: ignore[no-untyped-call]
         run_explainer, (explainer, policy, observations, 0), rounds=ROUNDS
     )
     if benchmark.stats is not None:

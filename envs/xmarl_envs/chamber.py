@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pymunk
-from numpy.typing import NDArray
 from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 
 from xmarl_envs.task import Floats, Task
@@ -20,24 +19,27 @@ DAMPING = VELOCITY_KEPT ** (1.0 / (SUBSTEPS * MOVE))  # per s, in the one move o
 COPY_SPACING = 64.0  # m between slots: nobody gets that far in an episode
 BORDER_THICKNESS = 0.5  # m
 COLLISION_SLOP = 1e-4  # m; pymunk's default of 0.1 is as large as an agent
-STATE = BodyFields.POSITION | BodyFields.VELOCITY
-
-Slots = NDArray[np.intp] | slice
-EVERY_SLOT = slice(None)
+STATE, FORCE = BodyFields.POSITION | BodyFields.VELOCITY, BodyFields.FORCE
 
 
 class Chamber:
     """One Space with `n_slots` copies of the task, built in a fixed order: agents, walls, borders.
 
-    Beside positions and velocities it keeps what Chipmunk does: contacts that last, corrections of overlaps
-    that are due in the next move, the order of its search tree.
+    Everything is in the Space's frame: slot k's own origin is at `offset[k]`, that of slot 0 at (0, 0).
+    Beside positions and velocities a Space keeps contacts that last, corrections of overlaps that are due in
+    the next move, and the order of its search tree.
+
+    Attributes:
+        offset: (n_slots, 1, 2) m.
+        agents: (n_slots, N, 4) position, m, and velocity, m/s, that `write` sets.
+        walls: (n_slots, W, 4) the same of the walls, which do not move by themselves.
     """
 
     def __init__(self, task: Task, n_slots: int = 1) -> None:
         side = int(np.ceil(np.sqrt(n_slots)))
         slot = np.arange(n_slots)
         grid = np.stack([slot % side, slot // side], axis=1).astype(np.float64)
-        self._offset: Floats = grid[:, None] * COPY_SPACING  # (n_slots, 1, 2)
+        self.offset: Floats = grid[:, None] * COPY_SPACING
         self._space = space = pymunk.Space()
         space.collision_slop = COLLISION_SLOP
         n_discs, n_walls = n_slots * task.n_agents, n_slots * task.n_walls
@@ -49,7 +51,7 @@ class Chamber:
             wall = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
             space.add(wall, _immovable(pymunk.Poly.create_box(wall, task.wall_size)))
         if task.bound is not None:
-            for x, y in self._offset[:, 0]:
+            for x, y in self.offset[:, 0]:
                 self._add_border(float(x), float(y), task.bound + task.radius)
         # Pymunk reads the memory of these arrays: agents, walls, and one row more for Space.static_body,
         # which comes last in a batch and would be set to whatever lies past the end.
@@ -58,13 +60,13 @@ class Chamber:
         self._state_in, self._force_in, self._state_out = Buffer(), Buffer(), Buffer()
         self._state_in.set_float_buf(state)
         self._force_in.set_float_buf(force)
-        self._agents = state[:n_discs].reshape(n_slots, task.n_agents, 4)
-        self._walls = state[n_discs:-1].reshape(n_slots, task.n_walls, 4)
+        self.agents = state[:n_discs].reshape(n_slots, task.n_agents, 4)
+        self.walls = state[n_discs:-1].reshape(n_slots, task.n_walls, 4)
         self._force = force[:n_discs].reshape(n_slots, task.n_agents, 2)
         # A slot in which nobody was yet: discs in a row, far from the walls.
-        self._agents[..., 0] = self._offset[..., 0] + 3 * task.radius * np.arange(task.n_agents)
-        self._agents[..., 1] = self._offset[..., 1] + COPY_SPACING / 4
-        self._walls[..., :2] = self._offset - COPY_SPACING / 4
+        self.agents[..., 0] = self.offset[..., 0] + 3 * task.radius * np.arange(task.n_agents)
+        self.agents[..., 1] = self.offset[..., 1] + COPY_SPACING / 4
+        self.walls[..., :2] = self.offset - COPY_SPACING / 4
 
     def _add_border(self, x: float, y: float, half_width: float) -> None:
         reach = half_width + BORDER_THICKNESS
@@ -73,38 +75,30 @@ class Chamber:
         for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
             self._space.add(_immovable(pymunk.Segment(self._space.static_body, a, b, BORDER_THICKNESS)))
 
-    def write(self, position: Floats, velocity: Floats, walls: Floats, slots: Slots = EVERY_SLOT) -> None:
-        """Set agents (k, N, 2), m and m/s, and walls (k, W, 2) of k slots, each in its own frame.
-
-        The agents of the other slots come to rest where they are, to rounding.
-        """
-        offset = self._offset[slots]
-        self._agents[..., 2:] = 0.0
-        self._force[...] = 0.0
-        self._agents[slots, :, :2] = position + offset
-        self._agents[slots, :, 2:] = velocity
-        self._walls[slots, :, :2] = walls + offset
+    def write(self) -> None:
+        """Set all bodies to `agents` and `walls`."""
         set_space_bodies(self._space, STATE, self._state_in)
 
-    def step(self, force: Floats, slots: Slots = EVERY_SLOT) -> tuple[Floats, Floats]:
-        """Advance by TIME_STEP under forces (k, N, 2) in newton; positions and velocities, both (k, N, 2)."""
+    def step(self, force: Floats) -> Floats:
+        """Advance by TIME_STEP under forces (n_slots, N, 2) in newton.
+
+        Returns (n_slots, N, 4), positions and velocities: a view that the next step overwrites.
+        """
         # A substep moves by the old velocity, then changes the velocity. Its first moves only coast, and the
         # last brings the whole substep's drag and force: contacts are found early, free flight is the same.
-        self._force[slots] = force * CONTACT_CHECKS
+        np.multiply(force, CONTACT_CHECKS, out=self._force)
         space = self._space
         for _ in range(SUBSTEPS):
             space.damping = 1.0
             for _ in range(CONTACT_CHECKS - 1):
                 space.step(MOVE)
             space.damping = DAMPING
-            set_space_bodies(space, BodyFields.FORCE, self._force_in)  # every Space.step clears it
+            set_space_bodies(space, FORCE, self._force_in)  # every Space.step clears it
             space.step(MOVE)
         self._state_out.clear()
         get_space_bodies(space, STATE, self._state_out)
         # Read through pymunk's own memory: it reallocates the buffer while filling it, so no alias is safe.
-        state = np.frombuffer(self._state_out.float_buf(), np.float64, self._agents.size)
-        state = state.reshape(self._agents.shape)[slots]
-        return state[..., :2] - self._offset[slots], state[..., 2:]
+        return np.frombuffer(self._state_out.float_buf(), count=self.agents.size).reshape(self.agents.shape)
 
 
 def _immovable(shape: pymunk.Shape) -> pymunk.Shape:

@@ -45,6 +45,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         self._renderer: Renderer | None = None
         self._track: Track | None = None  # of what was seen, for pictures; None without them
         self._seeds = SeedRow()
+        self._action = np.zeros((1, task.n_agents, 2))
         self.possible_agents = [f"agent_{i}" for i in range(task.n_agents)]
         self.agents: list[str] = []
         box = spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
@@ -90,24 +91,31 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
     ]:
         if not self.agents:
             return {}, {}, {}, {}, {}
-        missing = [agent for agent in self.agents if agent not in actions]
+        agents = self.agents
+        missing = [agent for agent in agents if agent not in actions]
         if missing:
             raise ValueError(f"every live agent needs an action, none was given for {', '.join(missing)}.")
-        agents = self.agents
-        step = self._vector.step(np.array([[self._action(agent, actions[agent]) for agent in agents]]))
+        for i, agent in enumerate(agents):
+            action = np.asarray(actions[agent])
+            if action.shape != (2,):
+                raise ValueError(f"the action of {agent} must have shape (2,), got {action.shape}.")
+            self._action[0, i] = action
+        step = self._vector.step(self._action)
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
-        keys = (self.task.success_key, "agent_collision", "object_collision")
+        key = self.task.success_key
         flags = (step.success[0], step.agent_collision[0], step.object_collision[0])
-        values = zip(*(flag.tolist() for flag in flags), strict=True)
+        infos = {
+            agent: {key: success, "agent_collision": of_agents, "object_collision": of_objects}
+            for agent, success, of_agents, of_objects in zip(
+                agents, *(flag.tolist() for flag in flags), strict=True
+            )
+        }
         result = (
             self._by_agent(step.observation[0]),
             dict(zip(agents, step.reward[0].tolist(), strict=True)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
-            {
-                agent: dict(zip(keys, of_agent, strict=True))
-                for agent, of_agent in zip(agents, values, strict=True)
-            },
+            infos,
         )
         if terminated or truncated:
             self.agents = []
@@ -143,12 +151,6 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-
-    def _action(self, agent: str, action: Array) -> Array:
-        action = np.asarray(action)
-        if action.shape != (2,):
-            raise ValueError(f"the action of {agent} must have shape (2,), got {action.shape}.")
-        return action
 
     def _by_agent(self, observation: Array) -> dict[str, Array]:
         return dict(zip(self.possible_agents, observation, strict=True))

@@ -22,10 +22,12 @@ class SeparateSpaces:
         Each in a Space built anew: nothing of earlier episodes (cached contacts, the order in its search
         tree) can reach the new one.
         """
-        at_rest = np.zeros((1, *agents.shape[1:]))
         for row, episode in enumerate(episodes):
             self._chambers[episode] = chamber = Chamber(self._task)
-            chamber.write(agents[row : row + 1], at_rest, walls[row : row + 1])
+            chamber.agents[0, :, :2] = agents[row]
+            chamber.agents[0, :, 2:] = 0.0
+            chamber.walls[0, :, :2] = walls[row]
+            chamber.write()
 
     def step(
         self, position: Floats, velocity: Floats, force: Floats, walls: Floats, live: Bools | None
@@ -33,5 +35,6 @@ class SeparateSpaces:
         """Advance position and velocity (B, N, 2), in place, under force (B, N, 2)."""
         for k, chamber in enumerate(self._chambers):
             if chamber is not None and (live is None or live[k]):
-                here = slice(k, k + 1)
-                position[here], velocity[here] = chamber.step(force[here])
+                state = chamber.step(force[k])[0]
+                position[k] = state[:, :2]
+                velocity[k] = state[:, 2:]

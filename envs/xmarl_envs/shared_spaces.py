@@ -58,8 +58,16 @@ class SharedSpaces:
                 continue
             slots = np.flatnonzero(occupant >= 0)
             inside = occupant[slots]
-            chamber.write(position[inside], velocity[inside], walls[inside], slots)
-            real_position, real_velocity = chamber.step(force[inside], slots)
+            offset = chamber.offset[slots]
+            chamber.agents[..., 2:] = 0.0  # slots without an episode come to rest
+            chamber.agents[slots, :, :2] = position[inside] + offset
+            chamber.agents[slots, :, 2:] = velocity[inside]
+            chamber.walls[slots, :, :2] = walls[inside] + offset
+            chamber.write()
+            thrust = np.zeros((occupant.size, *force.shape[1:]))
+            thrust[slots] = force[inside]
+            state = chamber.step(thrust)[slots]
+            real_position, real_velocity = state[..., :2] - offset, state[..., 2:]
             # A correction that was due from the last step may have brought about another contact.
             self._touched[inside] |= _differ(real_position, end_position[inside])
             self._touched[inside] |= _differ(real_velocity, end_velocity[inside])

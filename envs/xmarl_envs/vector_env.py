@@ -4,6 +4,7 @@ and the PettingZoo shell is this class with one episode.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -50,17 +51,19 @@ class VectorEnv:
         probe = task.spawn(np.random.default_rng(0))
         self._targets: Floats = np.zeros((n_episodes, *probe.targets.shape))
         self._walls: Floats = np.zeros((n_episodes, *probe.walls.shape))
+        self._contact_distance = 2 * task.radius + task.collision_gap
         self._first, self._second = np.triu_indices(n_agents, k=1)
         pairs = np.arange(self._first.size)
         # (pairs, N): which agents a pair is made of; a boolean (B, pairs) times it counts partners.
         self._incidence: Floats = np.zeros((self._first.size, n_agents))
         self._incidence[pairs, self._first] = 1.0
         self._incidence[pairs, self._second] = 1.0
+        self._state = State(self.world.position, self.world.velocity, self._targets, self._walls)
 
     @property
     def state(self) -> State:
         """Views, not copies: the next step overwrites positions and velocities."""
-        return State(self.world.position, self.world.velocity, self._targets, self._walls)
+        return self._state
 
     def reset(self, seeds: Sequence[int], episodes: ArrayLike | None = None) -> NDArray[np.float32]:
         """Begin the given episodes (all by default), one seed each; returns all observations (B, N, D).
@@ -87,7 +90,7 @@ class VectorEnv:
         return self.observe()
 
     def observe(self) -> NDArray[np.float32]:
-        return self.task.observe(self.state).astype(np.float32)
+        return self.task.observe(self._state).astype(np.float32)
 
     def step(self, action: NDArray[np.floating], live: Bools | None = None) -> Step:
         """Apply actions (B, N, 2), clipped to [-1, 1], for one cycle of 0.1 s.
@@ -97,24 +100,28 @@ class VectorEnv:
         expected = (self.n_episodes, self.task.n_agents, 2)
         if action.shape != expected:
             raise ValueError(f"actions must have shape {expected}, got {action.shape}.")
-        if not np.isfinite(action).all():
+        largest = np.abs(action).max()
+        if not math.isfinite(largest):
             raise ValueError(f"actions of {self.task.name} must be finite numbers, got NaN or infinity.")
+        force = action.astype(np.float64)
+        if largest > 1.0:
+            np.clip(force, -1.0, 1.0, out=force)
+        force *= self.task.u_mult
         before = self.world.position.copy()
-        force = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0) * self.task.u_mult
         self.world.step(force, live)
         self.cycles += 1
         position = self.world.position
         # `take`: indexing an axis in the middle is 15 times slower.
         near = distance(position.take(self._first, axis=1), position.take(self._second, axis=1))
-        touching = near <= 2 * self.task.radius + self.task.collision_gap
+        touching = near <= self._contact_distance
         contacts = touching.astype(np.float64) @ self._incidence
-        outcome = self.task.judge(before, self.state, contacts)
+        outcome = self.task.judge(before, self._state, contacts)
         return Step(
             observation=self.observe(),
             reward=outcome.reward,
             terminated=outcome.done,
             truncated=(self.cycles >= self.max_cycles) & ~outcome.done,
             success=outcome.success,
-            agent_collision=contacts > 0,
+            agent_collision=contacts.astype(np.bool_),
             object_collision=outcome.object_collision,
         )

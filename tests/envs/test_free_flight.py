@@ -34,9 +34,11 @@ def in_spaces(
     ends = []
     for k in range(len(position)):
         chamber = Chamber(task)
-        chamber.write(position[k : k + 1], velocity[k : k + 1], walls[k : k + 1])
-        ends.append(np.concatenate(chamber.step(force[k : k + 1])))
-    return np.array(ends)[:, 0], np.array(ends)[:, 1]
+        chamber.agents[0] = np.concatenate([position[k], velocity[k]], axis=-1)
+        chamber.walls[0, :, :2] = walls[k]
+        chamber.write()
+        ends.append(chamber.step(force[k])[0].copy())
+    return np.array(ends)[..., :2], np.array(ends)[..., 2:]
 
 
 def pairs(task: Task) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

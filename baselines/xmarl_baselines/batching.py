@@ -6,9 +6,10 @@ matrix products round by their batch size; what is drawn for a timestep depends 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import torch
+from torch import Tensor
 
 AGENTS_AT_ONCE = 4096  # rows of the decoder: 1365 timesteps at N = 3, 512 at N = 8
 EDGES_AT_ONCE = 2**15  # entries of the mask, what bounds large teams: 512 timesteps at N = 8, 8 at N = 64
@@ -20,6 +21,14 @@ def chunks(n_steps: int, n_agents: int, *, steps_at_once: int | None = None) -> 
     width = max(1, width)
     for first in range(0, n_steps, width):
         yield slice(first, min(first + width, n_steps))
+
+
+def by_chunks(
+    observations: Tensor, explain: Callable[[slice], Tensor], *, steps_at_once: int | None = None
+) -> Tensor:
+    """(S, N, D) -> (S, N, N): `explain`, asked for the masks of one stretch of timesteps after another."""
+    n_steps, n_agents, _ = observations.shape
+    return torch.cat([explain(steps) for steps in chunks(n_steps, n_agents, steps_at_once=steps_at_once)])
 
 
 def timestep_seeds(n_steps: int, generator: torch.Generator) -> list[int]:

@@ -14,16 +14,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import chunks
+from xmarl_baselines.batching import by_chunks
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import Policy
 
 
 def attention_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N), rows sum to 1."""
-    n_steps, n_agents, _ = observations.shape
     with torch.no_grad():
-        return torch.cat([policy.attention(observations[steps]) for steps in chunks(n_steps, n_agents)])
+        return by_chunks(observations, lambda steps: policy.attention(observations[steps]))
 
 
 attention = Explainer(

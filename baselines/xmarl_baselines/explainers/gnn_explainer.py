@@ -27,7 +27,7 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import chunks, timestep_seeds
+from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import Policy
@@ -83,12 +83,11 @@ def gnn_explainer_mask(policy: Policy, observations: Tensor, generator: torch.Ge
     """(S, N, D) -> (S, N, N)."""
     n_steps, n_agents, _ = observations.shape
     policy, seeds = frozen(policy), timestep_seeds(n_steps, generator)
-    return torch.cat(
-        [
-            optimise_mask(policy, observations[steps], random_logits(n_agents, seeds[steps]), SETTINGS)
-            for steps in chunks(n_steps, n_agents)
-        ]
-    )
+
+    def explain(steps: slice) -> Tensor:
+        return optimise_mask(policy, observations[steps], random_logits(n_agents, seeds[steps]), SETTINGS)
+
+    return by_chunks(observations, explain)
 
 
 SETTINGS = GNNExplainerSettings()

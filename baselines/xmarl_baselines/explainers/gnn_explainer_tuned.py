@@ -16,7 +16,7 @@ from dataclasses import asdict
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import chunks
+from xmarl_baselines.batching import by_chunks
 from xmarl_baselines.explainers.gnn_explainer import GNNExplainerSettings, optimise_mask
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.explainer import Explainer
@@ -29,11 +29,8 @@ def gnn_explainer_tuned_mask(policy: Policy, observations: Tensor, generator: to
     """(S, N, D) -> (S, N, N)."""
     n_steps, n_agents, _ = observations.shape
     policy, start = frozen(policy), observations.new_zeros(n_steps, n_agents, n_agents)
-    return torch.cat(
-        [
-            optimise_mask(policy, observations[steps], start[steps], SETTINGS)
-            for steps in chunks(n_steps, n_agents)
-        ]
+    return by_chunks(
+        observations, lambda steps: optimise_mask(policy, observations[steps], start[steps], SETTINGS)
     )
 
 

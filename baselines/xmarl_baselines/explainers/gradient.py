@@ -16,7 +16,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import chunks
+from xmarl_baselines.batching import by_chunks
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.effect import effect_direction, signed_to_unit
 from xmarl_bench.explainer import Explainer
@@ -42,13 +42,9 @@ def gradient_at(policy: Policy, observations: Tensor, levels: list[float]) -> Te
 
 def gradient_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N)."""
-    n_steps, n_agents, _ = observations.shape
     policy = frozen(policy)
-    return torch.cat(
-        [
-            signed_to_unit(gradient_at(policy, observations[steps], [1.0]))
-            for steps in chunks(n_steps, n_agents)
-        ]
+    return by_chunks(
+        observations, lambda steps: signed_to_unit(gradient_at(policy, observations[steps], [1.0]))
     )
 
 

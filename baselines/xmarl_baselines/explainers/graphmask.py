@@ -38,7 +38,7 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import chunks, timestep_seeds
+from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import Policy
@@ -128,14 +128,12 @@ def graphmask_mask(policy: Policy, observations: Tensor, generator: torch.Genera
     """(S, N, D) -> (S, N, N) of zeros and ones."""
     n_steps, n_agents, _ = observations.shape
     policy, seeds = frozen(policy), timestep_seeds(n_steps, generator)
-    return torch.cat(
-        [
-            optimise_gates(
-                policy, observations[steps], uniform_noise(SETTINGS.epochs, n_agents, seeds[steps]), SETTINGS
-            )
-            for steps in chunks(n_steps, n_agents)
-        ]
-    )
+
+    def explain(steps: slice) -> Tensor:
+        noise = uniform_noise(SETTINGS.epochs, n_agents, seeds[steps])
+        return optimise_gates(policy, observations[steps], noise, SETTINGS)
+
+    return by_chunks(observations, explain)
 
 
 SETTINGS = GraphMaskSettings()

@@ -35,7 +35,7 @@ from torch.nn import functional as F
 from torch_geometric.explain import GraphMaskExplainer
 from torch_geometric.nn import MessagePassing
 
-from xmarl_baselines.batching import chunks, timestep_seeds
+from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
@@ -226,11 +226,13 @@ def batched(
     """(S, N, D) -> (S, N, N) of zeros and ones, chunk by chunk."""
     n_steps, n_agents, _ = observations.shape
     private, seeds = frozen(policy), timestep_seeds(n_steps, generator)
-    masks = []
-    for steps in chunks(n_steps, n_agents, steps_at_once=STEPS_AT_ONCE):
+
+    def explain(steps: slice) -> Tensor:
         starts = [draw(private, n_agents, settings.epochs, seed) for seed in seeds[steps]]
-        masks.append(gate_masks(private, observations[steps], starts, settings))
-    return torch.cat(masks).round()  # the straight-through sum may be one rounding off 1
+        return gate_masks(private, observations[steps], starts, settings)
+
+    masks = by_chunks(observations, explain, steps_at_once=STEPS_AT_ONCE)
+    return masks.round()  # the straight-through sum may be one rounding off 1
 
 
 def pyg_algorithm(n_layers: int, settings: GraphMaskPygSettings) -> GraphMaskExplainer:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import chunks
+from xmarl_baselines.batching import by_chunks
 from xmarl_baselines.explainers.gradient import NORMALISER, gradient_at
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.effect import signed_to_unit
@@ -33,14 +33,12 @@ def midpoints(n: int) -> list[float]:
 
 def integrated_gradients_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N)."""
-    n_steps, n_agents, _ = observations.shape
     policy = frozen(policy)
-    return torch.cat(
-        [
-            signed_to_unit(gradient_at(policy, observations[steps], midpoints(POINTS)))
-            for steps in chunks(n_steps, n_agents)
-        ]
-    )
+
+    def explain(steps: slice) -> Tensor:
+        return signed_to_unit(gradient_at(policy, observations[steps], midpoints(POINTS)))
+
+    return by_chunks(observations, explain)
 
 
 integrated_gradients = Explainer(

@@ -12,7 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import chunks
+from xmarl_baselines.batching import by_chunks
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.effect import share_of_largest
 from xmarl_bench.explainer import Explainer
@@ -42,14 +42,10 @@ def _change(policy: Policy, prepared: object, full: Tensor, edges: tuple[int | s
 
 def occlusion_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N)."""
-    n_steps, n_agents, _ = observations.shape
     policy = frozen(policy)
     with torch.no_grad():
-        return torch.cat(
-            [
-                share_of_largest(changes_without(policy, observations[steps]))
-                for steps in chunks(n_steps, n_agents)
-            ]
+        return by_chunks(
+            observations, lambda steps: share_of_largest(changes_without(policy, observations[steps]))
         )
 
 

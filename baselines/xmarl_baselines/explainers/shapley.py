@@ -27,7 +27,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xmarl_baselines.batching import chunks, timestep_seeds
+from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.explainers.gradient import NORMALISER
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.effect import signed_to_unit
@@ -89,15 +89,16 @@ def shapley_mask(policy: Policy, observations: Tensor, generator: torch.Generato
     n_steps, n_agents, _ = observations.shape
     policy, seeds = frozen(policy), timestep_seeds(n_steps, generator)
     exact = why_no_oracle(policy, n_agents) is None
-    masks = []
+
+    def explain(steps: slice) -> Tensor:
+        if exact:
+            values = torch.from_numpy(exact_values(change_table(policy, observations[steps])))
+        else:
+            values = sampled_values(policy, observations[steps], seeds[steps], PAIRS)
+        return signed_to_unit(values).float()
+
     with torch.no_grad():
-        for steps in chunks(n_steps, n_agents):
-            if exact:
-                values = torch.from_numpy(exact_values(change_table(policy, observations[steps])))
-            else:
-                values = sampled_values(policy, observations[steps], seeds[steps], PAIRS)
-            masks.append(signed_to_unit(values).float())
-    return torch.cat(masks)
+        return by_chunks(observations, explain)
 
 
 shapley = Explainer(

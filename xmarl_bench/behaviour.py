@@ -25,7 +25,7 @@ from xmarl_envs import make_task
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer, run_explainer
-from xmarl_bench.metrics import other_senders, top_k_rows
+from xmarl_bench.metrics import mask_of_senders, other_senders, top_k_rows
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout import Episode, play
@@ -140,9 +140,5 @@ def _values(kept: Episode, dropped: Episode) -> Values:
 
 def top_messages(mask: NDArray[np.floating], noise: NDArray[np.float64], k: int) -> Tensor:
     """(S, N, N) mask, noise against ties -> (S, N, N) of zeros and ones: the k highest others of each row."""
-    n_agents = mask.shape[-1]
     rows = top_k_rows(other_senders(mask), other_senders(noise))[k - 1]
-    top = torch.zeros(mask.shape)
-    bits = (rows[..., None] >> np.arange(n_agents - 1)) & 1
-    top[:, ~torch.eye(n_agents, dtype=torch.bool)] = torch.from_numpy(bits.reshape(len(mask), -1)).float()
-    return top
+    return torch.from_numpy(mask_of_senders(rows, ~np.eye(mask.shape[-1], dtype=bool)))

@@ -16,7 +16,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.measure import Explained, Measured
 from xmarl_bench.not_measured import not_measured
 from xmarl_bench.request import Cell, Request
-from xmarl_bench.rollout import Episode
+from xmarl_bench.rollout import Episode, mean_metrics
 from xmarl_bench.states import Values, number
 from xmarl_bench.summary import BEHAVIOUR, SANITY, cell_metrics, control_metrics
 from xmarl_bench.work import Behaviours, Episodes, Key, Result, States, world_of
@@ -132,13 +132,8 @@ def _controls(
 
 
 def _task_values(cell: Cell, episode: Episode) -> Values:
-    values: Values = {
-        name: number(getattr(episode, name))
-        for name in ("reward", "success_rate", "no_agent_collision", "no_object_collision", "makespan")
-    }
-    if not TASKS[cell.task].n_walls:
-        values["no_object_collision"] = None
-    return values
+    means = mean_metrics(cell.task, [episode])
+    return {name: None if value is None else number(value) for name, value in means.items()}
 
 
 def _or_raise(result: object, kind: type[Kind]) -> Kind:

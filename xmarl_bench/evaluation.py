@@ -16,9 +16,7 @@ from xmarl_bench.metrics import attention_entropy
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell, Sampling
-from xmarl_bench.rollout import Episode, Rollout, play_all
-
-TASK_METRICS = ("reward", "success_rate", "no_agent_collision", "no_object_collision", "makespan")
+from xmarl_bench.rollout import Episode, Rollout, mean_metrics, play_all
 
 
 @dataclass(frozen=True)
@@ -79,8 +77,8 @@ def evaluate(
                 episodes=sampling.episodes,
                 seed=sampling.seed,
                 max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
-                with_messages=_means(cell, heard),
-                without_messages=_means(cell, unheard),
+                with_messages=mean_metrics(cell.task, heard),
+                without_messages=mean_metrics(cell.task, unheard),
                 attention_entropy=_attention_entropy(policy, heard),
             )
         )
@@ -93,12 +91,3 @@ def _attention_entropy(policy: Policy, episodes: Sequence[Episode]) -> float:
     with one_thread(), torch.inference_mode():
         attention = [policy.attention(torch.tensor(episode.observations)) for episode in episodes]
     return float(np.mean([attention_entropy(alpha.numpy()).mean() for alpha in attention]))
-
-
-def _means(cell: Cell, episodes: Sequence[Episode]) -> dict[str, float | None]:
-    means: dict[str, float | None] = {
-        metric: float(np.mean([getattr(episode, metric) for episode in episodes])) for metric in TASK_METRICS
-    }
-    if not TASKS[cell.task].n_walls:
-        means["no_object_collision"] = None
-    return means

@@ -11,11 +11,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from xmarl_envs import Step, Task, VectorEnv, make_task
+from xmarl_envs import TASKS, Step, Task, VectorEnv, make_task
 
 from xmarl_bench.fan_out import fan_out
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread
+
+TASK_METRICS = ("reward", "success_rate", "no_agent_collision", "no_object_collision", "makespan")
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,16 @@ class Episode:
     no_agent_collision: float  # 1 if no two agents collided in the episode
     no_object_collision: float  # 1 if nobody touched a wall
     makespan: int  # steps until done, max_cycles if never
+
+
+def mean_metrics(task: str, episodes: Sequence[Episode]) -> dict[str, float | None]:
+    """TASK_METRICS, mean over episodes; None for what the task does not have."""
+    means: dict[str, float | None] = {
+        name: float(np.mean([getattr(episode, name) for episode in episodes])) for name in TASK_METRICS
+    }
+    if not TASKS[task].n_walls:
+        means["no_object_collision"] = None
+    return means
 
 
 class Act(Protocol):

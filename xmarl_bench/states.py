@@ -27,6 +27,7 @@ from xmarl_bench.metrics import (
     graph_explanation_unfaithfulness,
     kl_divergence,
     mask_mass,
+    mask_of_senders,
     oracle_at_k,
     other_senders,
     others_table,
@@ -194,13 +195,10 @@ class States:
         """
         if ranking is not None:
             return ranking.score(senders, noise)
-        n_senders = senders.shape[-1]
-        rows = torch.from_numpy(top_k_rows(senders, noise))  # (K, S, N)
-        bits = ((rows[..., None] >> torch.arange(n_senders)) & 1).float()
         explained = []
-        for top in bits:
-            mask = always.repeat(len(top), 1, 1)
-            mask[:, ~always.bool()] = top.reshape(len(top), -1)
+        for rows in top_k_rows(senders, noise):
+            top = torch.from_numpy(mask_of_senders(rows, ~always.bool().numpy()))
+            mask = torch.maximum(top, always)
             other = torch.maximum(1.0 - mask, always)
             explained.append(self._fidelity(self._decode(mask), self._decode(other)).delta.mean())
         return _mean(np.array(explained)), math.nan

@@ -36,9 +36,13 @@ def plain_actor(model: MAPPO) -> GraphPolicy:
 def worth(record: Record, enough_success: float, care: float) -> tuple[float, float]:
     """What makes one policy better than another: success up to `enough_success` plus `care` times the rate of
     episodes in which no two agents touch; then the shorter makespan."""
-    return min(record["success_rate"], enough_success) + care * record["no_agent_collision"], -record[
-        "makespan"
-    ]
+    value = min(record["success_rate"], enough_success) + care * record["no_agent_collision"]
+    return value, -record["makespan"]
+
+
+def weights_at(run: Path, record: Record) -> Path:
+    """Where a run's folder holds the weights of that look."""
+    return run / "validated" / f"{record['frames']:010d}.safetensors"
 
 
 class ModelSelection(BaseCallback):
@@ -96,8 +100,9 @@ class ModelSelection(BaseCallback):
             self.logger.record(f"validation/{name}", record[name])
         if not self._cell.make().n_walls:
             record["no_object_collision"] = None
-        (self._folder / "validated").mkdir(parents=True, exist_ok=True)
-        write_atomically(self._weights(record), save(policy.state_dict()))
+        weights = weights_at(self._folder, record)
+        weights.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(weights, save(policy.state_dict()))
         earlier = [row for row in self.curve() if row["frames"] < self.num_timesteps]
         write_json(self._folder / "curve.json", [*earlier, record])
 
@@ -117,8 +122,5 @@ class ModelSelection(BaseCallback):
     def policy_at(self, record: Record) -> GraphPolicy:
         assert isinstance(self.model, MAPPO)
         policy = plain_actor(self.model)
-        policy.load_state_dict(load_file(self._weights(record)))
+        policy.load_state_dict(load_file(weights_at(self._folder, record)))
         return policy
-
-    def _weights(self, record: Record) -> Path:
-        return self._folder / "validated" / f"{record['frames']:010d}.safetensors"

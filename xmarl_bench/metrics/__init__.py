@@ -11,6 +11,7 @@ from xmarl_bench.metrics.budgeted_fidelity import (
     budgeted_fidelity,
     fid_delta_at_k,
     fid_delta_table,
+    mask_of_senders,
     oracle_at_k,
     other_senders,
     others_table,
@@ -25,6 +26,6 @@ from xmarl_bench.metrics.unfaithfulness import graph_explanation_unfaithfulness,
 __all__ = [
     "Fidelity", "attention_distance", "attention_entropy", "budgeted_fidelity", "fid_delta_at_k",
     "fid_delta_table", "fidelity", "graph_explanation_unfaithfulness", "kl_divergence", "mask_mass",
-    "oracle_at_k", "other_senders", "others_table", "prediction_change", "random_at_k", "rank_correlation",
-    "top_k_rows",
+    "mask_of_senders", "oracle_at_k", "other_senders", "others_table", "prediction_change", "random_at_k",
+    "rank_correlation", "top_k_rows",
 ]  # fmt: skip

@@ -42,6 +42,17 @@ def top_k_rows(mask: NDArray[np.floating], noise: Floats) -> NDArray[np.int64]:
     return np.moveaxis(np.cumsum(1 << order, axis=-1)[..., :-1], -1, 0)
 
 
+def mask_of_senders(rows: NDArray[np.int64], senders: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(S, N) rows -> (S, N, N) mask: 1 on the edges of `senders` (N, N) that a row keeps, 0 elsewhere.
+
+    senders: the M edges of each receiver that are ranked, in the order of a row's bits.
+    """
+    bits = (rows[..., None] >> np.arange(senders[0].sum())) & 1
+    mask = np.zeros((len(rows), *senders.shape), dtype=np.float32)
+    mask[:, senders] = bits.reshape(len(rows), -1)
+    return mask
+
+
 def fid_delta_at_k(delta: Floats, rows: NDArray[np.int64]) -> Floats:
     """(R, S, N) FidDelta of all rows, (K, S, N) the chosen -> (K,) mean over timesteps and agents."""
     return np.asarray(np.take_along_axis(delta, rows, axis=0).mean(axis=(1, 2)))

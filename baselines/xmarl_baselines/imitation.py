@@ -3,8 +3,7 @@
 DAgger (Ross, Gordon and Bagnell, AISTATS 2011): teams are driven by the heuristic at first, by the actor more
 and more, and the heuristic says at every state what it would have done. It may see everything; the actor sees
 the team's observations through its graph layer, so it learns as much of the heuristic as these can tell.
-The loss is the squared difference of actions plus, as in training, a multiple of the attention
-entropy.
+The loss is the squared difference of actions plus, as in training, a multiple of the attention entropy.
 """
 
 from __future__ import annotations
@@ -18,7 +17,9 @@ from torch import Tensor
 from xmarl_envs import Task, VectorEnv
 from xmarl_envs.heuristics import heuristic
 
+from xmarl_baselines.schedules import ramp
 from xmarl_baselines.team_policy import mean_attention_entropy
+from xmarl_baselines.team_vec_env import training_seeds
 from xmarl_bench.policy import GraphPolicy
 
 ROUND = 25  # team-steps of every team between two rounds of gradient steps
@@ -62,8 +63,8 @@ def imitate(
         teams.play(actor, guided=max(0.0, 1.0 - done / (how.guided * how.rounds)))
         for group in optimizer.param_groups:
             group["lr"] = how.learning_rate * max(0.05, 1.0 - done / how.rounds)
-        ramp = (done / how.rounds - how.attention_start) / how.attention_ramp
-        weight = attention_entropy * how.attention_scale * min(1.0, max(0.0, ramp))
+        grown = ramp(done / how.rounds, how.attention_start, how.attention_ramp)
+        weight = attention_entropy * how.attention_scale * grown
         measured = [
             _update(actor, optimizer, *teams.sample(how.batch_size), how.scale, weight)
             for _ in range(how.updates)
@@ -98,7 +99,7 @@ class _Teams:
     def __init__(self, task: Task, how: Imitation, rng: np.random.Generator) -> None:
         self._task, self._how, self._rng = task, how, rng
         self._env = VectorEnv(task, how.n_envs, copies_per_space=64)
-        self._observation = self._env.reset(self._seeds(how.n_envs))
+        self._observation = self._env.reset(training_seeds(rng, how.n_envs))
         self._env.cycles[:] = rng.integers(0, self._env.max_cycles, how.n_envs)  # not all ending at once
         slots = how.memory // how.n_envs
         self._seen = torch.zeros(slots, how.n_envs, task.n_agents, task.obs_dim)
@@ -123,14 +124,10 @@ class _Teams:
             self._observation = step.observation
             ended = np.flatnonzero(step.terminated | step.truncated)
             if ended.size:
-                self._observation = self._env.reset(self._seeds(ended.size), ended)
+                self._observation = self._env.reset(training_seeds(rng, ended.size), ended)
 
     def sample(self, batch_size: int) -> tuple[Tensor, Tensor]:
         """(batch, N, D) observations and (batch, N, 2) actions shown."""
         filled = min(self._stored, len(self._seen)) * self._how.n_envs
         index = torch.from_numpy(self._rng.integers(0, filled, batch_size))
         return self._seen.flatten(0, 1)[index], self._shown.flatten(0, 1)[index]
-
-    def _seeds(self, n: int) -> list[int]:
-        # Training draws below 2**31; validation and scoring lie above.
-        return [int(seed) for seed in self._rng.integers(0, 2**31, n)]

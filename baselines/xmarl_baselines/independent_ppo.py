@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from xmarl_envs import TaskParallelEnv, make_task
 from xmarl_envs.sb3_vec_env import SuperSuitVecEnv
 
+from xmarl_baselines.reference import EPISODES
 from xmarl_bench.evaluation import evaluate_policy
 from xmarl_bench.files import write_json
 from xmarl_bench.policy import ActionDistribution, Policy
@@ -30,7 +31,6 @@ from xmarl_bench.reproducible import one_thread
 
 CONTROLS = Path(__file__).parent / "controls"
 COPIES = 32  # teams side by side
-EPISODES = 200  # as the reference policies are measured
 
 
 class IndependentPolicy(Policy):

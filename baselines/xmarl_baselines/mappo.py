@@ -23,6 +23,7 @@ from stable_baselines3.common.type_aliases import MaybeCallback
 from stable_baselines3.common.utils import explained_variance
 from torch.nn import functional as F
 
+from xmarl_baselines.schedules import ramp
 from xmarl_baselines.team_buffer import TeamRolloutBuffer, TeamSamples
 from xmarl_baselines.team_policy import TeamPolicy
 
@@ -81,10 +82,8 @@ class MAPPO(PPO):
 
     def attention_weight(self) -> float:
         """lambda at this moment of training."""
-        done = 1.0 - self._current_progress_remaining - self.attention_start
-        if done < 0:
-            return 0.0
-        return self.attention_entropy * (min(1.0, done / self.attention_ramp) if self.attention_ramp else 1.0)
+        done = 1.0 - self._current_progress_remaining
+        return self.attention_entropy * ramp(done, self.attention_start, self.attention_ramp)
 
     def train(self) -> None:
         self.policy.set_training_mode(True)

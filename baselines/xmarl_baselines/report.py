@@ -12,12 +12,13 @@ import json
 from collections import defaultdict
 from pathlib import Path
 from statistics import median
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.policies import shipped_policies
+from xmarl_baselines.reference import EPISODES
 from xmarl_bench.evaluation import Performance, evaluate
 from xmarl_bench.files import write_atomically, write_json
 from xmarl_bench.policy import PolicyCard, load_policy
@@ -29,7 +30,6 @@ ROOT = Path(__file__).parent.parent.parent
 README = ROOT / "baselines" / "README.md"
 PICTURE = ROOT / "docs" / "learning.png"
 ZERO_SHOT = Path(__file__).parent / "zero_shot.json"
-EPISODES = 200
 
 # Kailas et al. (ICML 2025), table of task performance: success, no agent collision, no object collision,
 # makespan, without and with the attention-entropy term.
@@ -50,6 +50,11 @@ MEASURES = {
     "no wall contact": "no_object_collision",
     "makespan": "makespan",
 }
+
+
+def shown(measure: str, value: float | None) -> str:
+    """As it stands in a table."""
+    return "-" if value is None else f"{value:.{0 if measure == 'makespan' else 2}f}"
 
 
 def shipped_cards() -> list[PolicyCard]:
@@ -73,12 +78,12 @@ def cell_rows(cards: list[PolicyCard]) -> list[Row]:
         for (title, name), theirs in zip(MEASURES.items(), PAPER[task, n_agents][regularised], strict=True):
             values = [card.performance["with_messages"][name] for card in group]
             mine = best.performance["with_messages"][name]
-            digits = 0 if name == "makespan" else 2
-            if mine is None or theirs is None:
-                row[title] = "-" if mine is None else f"{mine:.{digits}f} ({median(values):.{digits}f})"
-            else:
-                row[title] = f"{mine:.{digits}f} ({median(values):.{digits}f}), paper {theirs:.{digits}f}"
-        row["success without messages"] = f"{best.performance['without_messages']['success_rate']:.2f}"
+            row[title] = shown(name, mine)
+            if mine is not None:
+                paper = "" if theirs is None else f", paper {shown(name, theirs)}"
+                row[title] += f" ({shown(name, median(values))}){paper}"
+        unheard = best.performance["without_messages"]
+        row["success without messages"] = shown("success_rate", unheard["success_rate"])
         row["attention entropy"] = f"{best.performance['attention_entropy']:.2f}"
         row["best seed"] = best.name
         rows.append(row)
@@ -107,8 +112,7 @@ def control_rows() -> list[Row]:
         record = json.loads(path.read_text())
         heard = record["performance"]["with_messages"]
         row: Row = {"control": record["name"]}
-        for title, name in MEASURES.items():
-            row[title] = "-" if heard[name] is None else f"{heard[name]:.{0 if name == 'makespan' else 2}f}"
+        row |= {title: shown(name, heard[name]) for title, name in MEASURES.items()}
         rows.append(
             {**row, "frames (M)": f"{record['frames'] / 1e6:.1f}", "command": f"`{record['command']}`"}
         )
@@ -136,16 +140,10 @@ def zero_shot_rows() -> list[Row]:
         return []
     rows: list[Row] = []
     for record in json.loads(ZERO_SHOT.read_text()):
-        heard: dict[str, Any] = record["with_messages"]
-        rows.append(
-            {
-                "policy": record["policy"],
-                "tested with": record["n_agents"],
-                "success": f"{heard['success_rate']:.2f}",
-                "no agent collision": f"{heard['no_agent_collision']:.2f}",
-                "makespan": f"{heard['makespan']:.0f}",
-            }
-        )
+        heard = record["with_messages"]
+        titles = ("success", "no agent collision", "makespan")
+        measures = {title: shown(MEASURES[title], heard[MEASURES[title]]) for title in titles}
+        rows.append({"policy": record["policy"], "tested with": record["n_agents"], **measures})
     return rows
 
 
@@ -202,10 +200,8 @@ def draw(path: Path) -> None:
         panel.set_ylim(-0.02, 1.02)
         panel.grid(alpha=0.25)
     named = [panel.get_legend_handles_labels() for panel in panels[0]]
-    unique = {
-        label: handle for handles, labels in named for handle, label in zip(handles, labels, strict=True)
-    }
-    unique = dict(sorted(unique.items()))
+    labels = {label: handle for both in named for handle, label in zip(*both, strict=True)}
+    unique = dict(sorted(labels.items()))
     figure.legend(unique.values(), unique.keys(), loc="lower center", ncols=len(unique), frameon=False)
     figure.tight_layout(rect=(0, 0.05, 1, 1))
     figure.savefig(path, dpi=110)

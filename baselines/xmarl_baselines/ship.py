@@ -14,13 +14,13 @@ from typing import Annotated, Any
 import typer
 from safetensors.torch import load_file
 
+from xmarl_baselines.model_selection import weights_at
 from xmarl_baselines.policies import HERE
-from xmarl_baselines.reference import reference_runs
+from xmarl_baselines.reference import EPISODES, reference_runs
 from xmarl_bench.evaluation import evaluate_policy
 from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
 
 ALONG_TRAINING = (20, 50, 80, 100)  # percent (Kailas et al., ICML 2025, appendix on training iterations)
-EPISODES = 200
 
 
 def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --out` wrote to")]) -> None:
@@ -43,9 +43,10 @@ def _ship_along_training(run: Path, policy: GraphPolicy, fields: dict[str, Any])
     for percent in ALONG_TRAINING:
         curve = fields["training"]["curve"]
         look = min(curve, key=lambda record: abs(record["frames"] - frames * percent / 100))
-        policy.load_state_dict(load_file(run / "validated" / f"{look['frames']:010d}.safetensors"))
+        weights = weights_at(run, look)
+        policy.load_state_dict(load_file(weights))
         training = {**fields["training"], "validation": look, "percent": percent}
-        training["command"] += f"; then {run.name}/validated/{look['frames']:010d}.safetensors"
+        training["command"] += f"; then {weights.relative_to(run.parent)}"
         save_policy(
             HERE / f"{fields['name']}-at{percent}",
             policy,

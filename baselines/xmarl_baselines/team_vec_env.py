@@ -50,7 +50,7 @@ class TeamVecEnv(OneObjectVecEnv):
         self._collided = np.zeros(n_envs, dtype=bool)
 
     def reset(self) -> NDArray[np.float32]:
-        observation = self._env.reset(self._draw_seeds(self.num_envs))
+        observation = self._env.reset(training_seeds(self._rng, self.num_envs))
         # Spread first episodes over their length, so that truncations do not come all at once.
         self._env.cycles[:] = self._rng.integers(0, self._env.max_cycles, self.num_envs)
         self._return[:] = 0.0
@@ -84,11 +84,12 @@ class TeamVecEnv(OneObjectVecEnv):
                 "TimeLimit.truncated": bool(step.truncated[k]),
             }  # fmt: skip
         if ended.size:
-            observation = self._env.reset(self._draw_seeds(ended.size), ended)
+            observation = self._env.reset(training_seeds(self._rng, ended.size), ended)
             self._return[ended] = 0.0
             self._collided[ended] = False
         return observation, reward, done, infos
 
-    def _draw_seeds(self, n: int) -> list[int]:
-        # Training draws below 2**31; scoring's episode seeds lie above.
-        return [int(seed) for seed in self._rng.integers(0, 2**31, n)]
+
+def training_seeds(rng: np.random.Generator, n: int) -> list[int]:
+    """Seeds of n episodes to train on: below 2**31, for those of validation and scoring lie above."""
+    return [int(seed) for seed in rng.integers(0, 2**31, n)]

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from xmarl_baselines.recipes import recipe_for
-from xmarl_baselines.reference import reference_runs, run_named
+from xmarl_baselines.reference import EPISODES, reference_runs, run_named
 from xmarl_baselines.trainer import Report, Run, train
 from xmarl_bench.errors import InputError
 from xmarl_bench.evaluation import Performance, evaluate_policy
@@ -25,8 +25,6 @@ from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.report import performance_rows, print_rows
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell
-
-EPISODES = 200  # of the evaluation at the end: its first 50 are the ones that scoring plays
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -9,10 +9,9 @@ explanations costs divided by what one of ours does.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
-import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 from torch_geometric.explain import ExplainerAlgorithm, GNNExplainer, GraphMaskExplainer
 from xmarl_baselines.explainers.gnn_explainer import gnn_explainer
@@ -27,14 +26,6 @@ PEERS: dict[str, tuple[Explainer, Callable[[], ExplainerAlgorithm]]] = {
     "GNNExplainer": (gnn_explainer, GNNExplainer),
     "GraphMask": (graphmask, lambda: GraphMaskExplainer(num_layers=1, log=False)),
 }
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.mark.benchmark(timer=time.process_time, warmup=False)

@@ -7,7 +7,7 @@ less than ours does. Torch gets one thread; ours is single-threaded.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -18,14 +18,6 @@ from xmarl_envs import BlindNavigation, TaskParallelEnv, VectorEnv, make_task
 
 N_AGENTS, STEPS = 3, 20
 BATCHES = [64, 1024]
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def measure(benchmark: BenchmarkFixture, n_episodes: int, step: Callable[[], object]) -> None:

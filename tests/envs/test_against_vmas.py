@@ -9,7 +9,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 from scipy import stats
 from xmarl_envs import State, Task, VectorEnv, make_task
@@ -17,6 +16,7 @@ from xmarl_envs.heuristics import heuristic
 
 from tests.envs.fly_both import fly_ours, fly_vmas, straight
 from tests.envs.vmas_twin import VmasTwin
+from xmarl_bench.reproducible import one_thread
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -30,11 +30,9 @@ PER_METRE = {"blind_navigation_v0": 3.0, "blind_passage_v0": 100.0, "blind_disco
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+def on_one_thread() -> Iterator[None]:
+    with one_thread():
+        yield
 
 
 def pair(name: str, n_agents: int, n_episodes: int = EPISODES) -> tuple[VectorEnv, VmasTwin]:

@@ -101,6 +101,24 @@ def test_an_environment_that_is_no_task_of_ours_conforms() -> None:
     check_task(Pursuit, max_cycles=30)
 
 
+class EndsAtOnceMostly(Pursuit):
+    """In two of three episodes the prey is caught in the first step: no fault, and no promise is broken."""
+
+    def reset(self, *args: Any, **kwargs: Any) -> Any:
+        result = super().reset(*args, **kwargs)
+        self.lucky = self.rng.random() > 1 / 3
+        return result
+
+    def step(self, actions: dict[str, int]) -> RETURN:
+        if self.lucky:
+            self.place = np.zeros(2)
+        return super().step(dict.fromkeys(actions, 1) if self.lucky else actions)
+
+
+def test_episodes_may_end_before_max_cycles() -> None:
+    check_task(EndsAtOnceMostly, max_cycles=30)
+
+
 def test_a_published_environment_conforms() -> None:
     check_task(simple_spread_v3.parallel_env, N=2, max_cycles=25)
 

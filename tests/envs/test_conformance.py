@@ -111,12 +111,12 @@ class EndsAtOnceMostly(Pursuit):
 
     def step(self, actions: dict[str, int]) -> RETURN:
         if self.lucky:
-            self.place = np.zeros(2)
+            self.place = np.ones(2)
         return super().step(dict.fromkeys(actions, 1) if self.lucky else actions)
 
 
 def test_episodes_may_end_before_max_cycles() -> None:
-    check_task(EndsAtOnceMostly, max_cycles=30)
+    check_task(EndsAtOnceMostly, seed=2, max_cycles=30)
 
 
 def test_a_published_environment_conforms() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -200,3 +201,7 @@ def _console() -> Console:
     """Wide where there is no terminal, so that logs do not break lines."""
     console = Console()
     return console if console.is_terminal else Console(width=160)
+
+
+def print_json(value: Any) -> None:
+    print(json.dumps(value, indent=2, allow_nan=False))

@@ -1,0 +1,59 @@
+"""`xmarl-bench evaluate`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from xmarl_bench.commands.options import (
+    Agents,
+    AsJson,
+    Episodes,
+    Jobs,
+    MaxCycles,
+    Parallel,
+    Policies,
+    Seed,
+    Tasks,
+)
+
+
+def evaluate(
+    task: Tasks = ["all"],  # noqa: B006
+    agents: Agents = ["all"],  # noqa: B006
+    policy: Policies = ["all"],  # noqa: B006
+    episodes: Episodes = 50,
+    max_cycles: MaxCycles = None,
+    seed: Seed = 0,
+    jobs: Jobs = 1,
+    parallel_episodes: Parallel = 50,
+    as_json: AsJson = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print the table of the README.")] = False,
+) -> None:
+    """Measure how well policies do their task, with messages between agents and without."""
+    from xmarl_bench import report
+    from xmarl_bench.evaluation import evaluate as run
+    from xmarl_bench.request import Sampling
+    from xmarl_bench.selection import select_policies
+
+    selected = select_policies(policy, task, agents)
+    pairs = [(network, card, cell) for network, card, cells in selected for cell in cells]
+    performances = run(
+        [(network, cell) for network, _, cell in pairs],
+        Sampling(episodes=episodes, max_cycles=max_cycles, seed=seed),
+        jobs=jobs,
+        parallel_episodes=parallel_episodes,
+        progress=True,
+    )
+    cards = [card for _, card, _ in pairs]
+    if as_json:
+        report.print_json(
+            [{"policy": card.name, **each.record()} for card, each in zip(cards, performances, strict=True)]
+        )
+        return
+    rows = report.performance_rows(cards, performances)
+    if markdown:
+        print(report.markdown(rows))
+    else:
+        report.print_rows(rows)

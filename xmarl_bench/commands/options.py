@@ -1,0 +1,23 @@
+"""Options that several commands take."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+Tasks = Annotated[list[str], typer.Option("--task", help="Task, or 'all'. Repeatable.")]
+Agents = Annotated[
+    list[str], typer.Option("--agents", help="Team size, or 'all': each policy's own. Repeatable.")
+]
+Policies = Annotated[
+    list[str],
+    typer.Option("--policy", help="Policy name or folder of a policy bundle, or 'all'. Repeatable."),
+]
+Explainers = Annotated[list[str], typer.Option("--explainer", help="Explainer name, or 'all'. Repeatable.")]
+Episodes = Annotated[int, typer.Option(help="Episodes per policy.")]
+MaxCycles = Annotated[int | None, typer.Option(help="Steps per episode; the task's own number by default.")]
+Seed = Annotated[int, typer.Option(help="Chooses the episodes, and seeds the explainers.")]
+Jobs = Annotated[int, typer.Option(help="Processes. Changes no result.")]
+Parallel = Annotated[int, typer.Option(help="Episodes stepped side by side in a process. Changes no result.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]

@@ -1,0 +1,103 @@
+"""`xmarl-bench score`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from xmarl_bench.commands.options import (
+    Agents,
+    Episodes,
+    Explainers,
+    Jobs,
+    MaxCycles,
+    Parallel,
+    Policies,
+    Seed,
+    Tasks,
+)
+
+
+def score(
+    task: Tasks = ["all"],  # noqa: B006
+    agents: Agents = ["all"],  # noqa: B006
+    policy: Policies = ["all"],  # noqa: B006
+    explainer: Explainers = ["all"],  # noqa: B006
+    episodes: Episodes = 50,
+    timesteps: Annotated[
+        int | None,
+        typer.Option(help="At most so many evenly spaced timesteps of each episode; all by default."),
+    ] = None,
+    slow_episodes: Annotated[
+        int | None, typer.Option(help="Episodes for explainers that declare themselves slow.")
+    ] = None,
+    slow_timesteps: Annotated[
+        int | None, typer.Option(help="Timesteps per episode for explainers that declare themselves slow.")
+    ] = None,
+    behaviour_episodes: Annotated[
+        int | None,
+        typer.Option(
+            help="Episodes that the team also plays on the explanation; all by default, none for explainers "
+            "that declare themselves slow."
+        ),
+    ] = None,
+    no_behaviour: Annotated[
+        list[str],
+        typer.Option(help="Explainer on whose masks the team does not play, or 'all'. Repeatable."),
+    ] = [],  # noqa: B006
+    max_cycles: MaxCycles = None,
+    seed: Seed = 0,
+    jobs: Jobs = 1,
+    parallel_episodes: Parallel = 50,
+    submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
+    out: Annotated[Path, typer.Option(help="Where entries/ and leaderboard.json go.")] = Path("leaderboard"),
+) -> None:
+    """Score explainers on policies; write one entry per pair and rebuild the leaderboard.
+
+    With --slow-episodes or --slow-timesteps, slow explainers are scored on fewer states only, and all
+    others on both: on all states, and on the same few, so that they can be compared.
+    """
+    from dataclasses import replace
+
+    from xmarl_bench import report
+    from xmarl_bench.board import build_board
+    from xmarl_bench.entry import read_entries, write_entry
+    from xmarl_bench.files import check_writable
+    from xmarl_bench.request import Sampling
+    from xmarl_bench.scoring import score_requests
+    from xmarl_bench.selection import plan, select_explainers, select_policies
+
+    sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
+    slow = replace(
+        sampling,
+        episodes=episodes if slow_episodes is None else min(episodes, slow_episodes),
+        timesteps=min((t for t in (timesteps, slow_timesteps) if t is not None), default=None),
+    )
+    explainers = select_explainers(explainer)
+    requests = plan(
+        select_policies(policy, task, agents),
+        explainers,
+        sampling,
+        slow,
+        behaviour_episodes=behaviour_episodes,
+        no_behaviour=no_behaviour,
+    )
+    check_writable(out)
+    read_entries(out / "entries")  # a board that could not be rebuilt afterwards is refused now
+    entries = []
+    try:
+        for entry in score_requests(
+            requests, jobs=jobs, parallel_episodes=parallel_episodes, progress=True, submitter=submitter
+        ):
+            path = write_entry(out / "entries", entry)
+            entries.append(entry)
+            if not sys.stderr.isatty():  # a log, which shows no progress bar
+                print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
+    finally:
+        if entries:  # an interrupted run keeps what it finished
+            board = build_board(out)
+    report.print_scores(entries, [found.explainer for found in explainers])
+    print(f"{len(entries)} entries in {out / 'entries'}, leaderboard in {board} and {out / 'index.html'}.")

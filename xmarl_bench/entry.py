@@ -1,8 +1,9 @@
 """The entry: one (policy, explainer) pair scored over a list of cells, one strict JSON file.
 
-Unknown keys, NaN and infinity are refused. `entry_id` is the sha256 of the canonical JSON without
-`verification`, which others add later, and without `provenance` and `cost`, which say where and how fast
-the entry was made: the same score made twice has the same id.
+Unknown keys, keys given twice, NaN, infinity and what is out of a metric's range are refused. `entry_id` is
+the sha256 of the canonical JSON without `verification`, which others add later, and without `provenance` and
+`cost`, which say where and how fast the entry was made: the same score made twice has the same id.
+`leaderboard/entry.schema.json` is this file as JSON Schema.
 """
 
 from __future__ import annotations
@@ -15,11 +16,26 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.field_types import (
+    Agents,
+    Budgeted,
+    Change,
+    Correlation,
+    Count,
+    Delta,
+    Name,
+    NotNegative,
+    Seconds,
+    Sha256,
+    Share,
+    Text,
+)  # fmt: skip
 from xmarl_bench.files import canonical_json, write_json
 from xmarl_bench.policy import Architecture
 from xmarl_bench.protocol import PROTOCOL
+from xmarl_bench.strict_json import parse_json, shown
 
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 
 
 class Record(BaseModel):
@@ -27,91 +43,111 @@ class Record(BaseModel):
 
 
 class PolicyRecord(Record):
-    name: str
-    task: str
-    n_agents: int  # the team size it was trained for
-    weights_sha256: str
+    name: Name
+    task: Name
+    n_agents: Agents  # the team size it was trained for
+    weights_sha256: Sha256
     architecture: Architecture
     attention_entropy: float
     training_seed: int | None
-    code: str | None = None  # where its training code is
+    code: Text | None = None  # where its training code is
+    trusted_code: bool = False  # code of the policy's own ran, beside the closed list
 
 
 class ExplainerRecord(Record):
-    name: str
-    distribution: str | None  # None: an object passed in Python, not an installed plugin
-    version: str | None
-    entry_point: str
-    hyperparameters: dict[str, bool | int | float | str | None]
+    """What was asked, and what it declares of itself."""
+
+    name: Name
+    distribution: Text | None  # None: an object passed in Python or a file, not an installed plugin
+    version: Text | None
+    entry_point: Text
+    hyperparameters: Annotated[dict[Text, bool | int | float | Text | None], Field(max_length=100)]
     stochastic: bool
     control: bool
-    seed: int
+    seed: Annotated[int, Field(ge=0, lt=10**9)]
+    batched: bool = True  # False: called for one timestep at a time
+    binary: bool = False  # masks of zeros and ones
+    signed: Text | None = None  # attributions have a sign: the normaliser that made masks of them
+    needs_fit: bool = False  # fitted on other states before it explains
+    accesses: Literal["black-box", "gradients", "attention"] | None = None  # of the policy; None: not said
+    code: Text | None = None  # where its code is
+    code_sha256: Sha256 | None = None  # of the file that it was loaded from
 
 
 class Protocol(Record):
     """What was measured and on which states. Entries share a table only where this is identical."""
 
     id: Literal["xmarl-2"] = PROTOCOL
-    episodes: int
-    seeds: tuple[int, ...]
-    timesteps: int | None  # at most so many of each episode; None is all
-    definitions: dict[str, str]
+    episodes: Annotated[int, Field(ge=1, le=10**6)]
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**53)], ...]
+    timesteps: Annotated[int, Field(ge=1)] | None  # at most so many of each episode; None is all
+    definitions: Annotated[dict[Text, Text], Field(max_length=100)]
 
 
 class Summary(Record):
     value: float | None
     interval: tuple[float, float] | None
-    n: int
-    n_nan: int
+    n: Count
+    n_nan: Count
 
 
 class ExplanationRow(Record):
     """What a mask scores on one episode. A metric is null where it is not a number."""
 
-    fid_plus: float | None
-    fid_minus: float | None
-    fid_delta: float | None
-    gef: float | None
-    median_kl: float | None
-    mask_mass: float | None
-    topk_fid_delta: float | None
-    budgeted_fidelity: float | None
-    comm_fid_plus: float | None
-    comm_fid_minus: float | None
-    comm_fid_delta: float | None
-    comm_gef: float | None
-    comm_topk_fid_delta: float | None
-    comm_budgeted_fidelity: float | None
-    renorm_topk_fid_delta: float | None
-    renorm_budgeted_fidelity: float | None
+    fid_plus: Change | None
+    fid_minus: Change | None
+    fid_delta: Delta | None
+    gef: Share | None
+    median_kl: NotNegative | None
+    mask_mass: Share | None
+    topk_fid_delta: Delta | None
+    budgeted_fidelity: Budgeted | None
+    comm_fid_plus: Change | None
+    comm_fid_minus: Change | None
+    comm_fid_delta: Delta | None
+    comm_gef: Share | None
+    comm_topk_fid_delta: Delta | None
+    comm_budgeted_fidelity: Budgeted | None
+    renorm_topk_fid_delta: Delta | None
+    renorm_budgeted_fidelity: Budgeted | None
 
 
 class BehaviourRow(Record):
     """How the team did on the explanation and on the rest; null in episodes that were not played so."""
 
-    success_on_explanation: float | None
-    success_on_complement: float | None
+    success_on_explanation: Share | None
+    success_on_complement: Share | None
     reward_on_explanation: float | None
     reward_on_complement: float | None
-    behavioural_fidelity: float | None
+    behavioural_fidelity: Correlation | None
+
+
+class BudgetRow(Record):
+    """FidDelta@k over one episode, k = 1 .. M - 1 of M senders; what `budgeted_fidelity` is made of."""
+
+    explained: tuple[float | None, ...]  # of the k highest edges of the mask's rows
+    random: tuple[float | None, ...] | None  # of a random ranking, in expectation; null without an oracle
+    oracle: tuple[float | None, ...] | None  # of the best k edges
 
 
 class EpisodeRow(ExplanationRow, BehaviourRow):
     """One episode. A metric is null where it is not a number, or where it was not measured."""
 
-    seed: int
-    length: int  # steps of the episode
-    timesteps: int  # of which so many were explained
-    seed_stability: float | None
-    weight_randomisation: float | None
-    communication_dependence: float | None
-    attention_entropy: float | None
-    attention_distance: float | None
+    seed: Annotated[int, Field(ge=0, lt=2**53)]
+    length: Annotated[int, Field(ge=1, le=10**6)]  # steps of the episode
+    timesteps: Annotated[int, Field(ge=1, le=10**6)]  # of which so many were explained
+    budget: BudgetRow | None = None
+    comm_budget: BudgetRow | None = None  # own edges always kept: M = N - 1
+    seed_stability: Correlation | None
+    weight_randomisation: Correlation | None
+    communication_dependence: Change | None
+    attention_entropy: NotNegative | None
+    attention_distance: NotNegative | None
     reward: float | None
-    success_rate: float | None
-    no_agent_collision: float | None
-    no_object_collision: float | None
-    makespan: float | None
+    success_rate: Share | None
+    no_agent_collision: Share | None
+    no_object_collision: Share | None
+    makespan: NotNegative | None
 
 
 class ExplanationMetrics(Record):
@@ -165,55 +201,66 @@ class Metrics(ExplanationMetrics, BehaviourMetrics):
 
 
 class CellResult(Record):
-    task: str
-    n_agents: int
-    max_cycles: int
+    task: Name
+    n_agents: Agents
+    max_cycles: Annotated[int, Field(ge=1, le=10**6)]
     metrics: Metrics
-    not_measured: dict[str, str]  # metric -> why it is null
-    controls: dict[str, ControlMetrics]
-    behaviour_episodes: int  # the first so many were also played on the explanation and on the complement
+    not_measured: Annotated[dict[Name, Text], Field(max_length=100)]  # metric -> why it is null
+    controls: Annotated[dict[Name, ControlMetrics], Field(max_length=100)]
+    behaviour_episodes: Count  # the first so many were also played on the explanation and on the complement
     episodes: tuple[EpisodeRow, ...]
 
 
 class Cost(Record):
     """Wall clock on one thread. No part of the entry's id."""
 
-    explain_seconds_per_timestep: float  # masks only, no metrics
-    explained_timesteps: int
-    shared_seconds_per_timestep: float  # oracle, controls and their metrics: once for all explainers
-    behaviour_seconds: float  # the rollouts on the explanation and on the complement
+    explain_seconds_per_timestep: Seconds  # masks only, no metrics
+    explained_timesteps: Count
+    shared_seconds_per_timestep: Seconds  # oracle, controls and their metrics: once for all explainers
+    behaviour_seconds: Seconds  # the rollouts on the explanation and on the complement
 
 
 class Provenance(Record):
-    harness_version: str
-    commit: str | None
+    """Numbers repeat bit for bit where `packages`, `python`, `machine` and `cpu_capability` are the same."""
+
+    harness_version: Text
+    commit: Text | None
     dirty: bool | None
-    packages: dict[str, str]
-    python: str
-    os: str
-    cpu: str
-    threads: int  # per worker
-    jobs: int
-    command: str
-    started: str  # ISO 8601, UTC
-    finished: str
+    packages: Annotated[dict[Text, Text], Field(max_length=100)]
+    python: Text
+    os: Text
+    machine: Text  # x86_64, arm64, ...
+    cpu: Text
+    cpu_capability: Text  # the vector instructions torch uses: they decide how it rounds
+    threads: Annotated[int, Field(ge=1)]  # per worker
+    jobs: Annotated[int, Field(ge=1)]
+    command: Text
+    started: Text  # ISO 8601, UTC
+    finished: Text
 
 
 class Verification(Record):
-    status: Literal["unverified", "schema-valid", "recomputed", "spot-rerun", "re-executed"] = "unverified"
-    by: str | None = None
-    when: str | None = None
-    max_abs_diff: float | None = None
+    """Who found the numbers right, how, with what. Written by `xmarl-bench verify`, not by submitters."""
+
+    status: Literal["unverified", "recomputed", "spot-rerun", "re-executed"] = "unverified"
+    by: Text | None = None
+    when: Text | None = None  # ISO 8601, UTC
+    harness_version: Text | None = None
+    packages: Annotated[dict[Text, Text], Field(max_length=100)] | None = None
+    machine: Text | None = None
+    episodes: Count = 0  # played and explained again, in all cells
+    bitwise: bool | None = None  # compared to the bit, or within the tolerance of other machines
+    max_abs_diff: NotNegative | None = None  # of any number compared
 
 
 class Entry(Record):
-    schema_version: Literal[2] = SCHEMA_VERSION
-    entry_id: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-    submitter: str | None
+    schema_version: Literal[3] = SCHEMA_VERSION
+    entry_id: Sha256
+    submitter: Text | None
     policy: PolicyRecord
     explainer: ExplainerRecord
     protocol: Protocol
-    results: tuple[CellResult, ...]
+    results: Annotated[tuple[CellResult, ...], Field(min_length=1, max_length=100)]
     cost: Cost
     provenance: Provenance
     reported: dict[str, JsonValue] | None = (
@@ -249,22 +296,33 @@ def write_entry(folder: Path, entry: Entry) -> Path:
 def read_entry(path: Path) -> Entry:
     """Read and validate one entry. Raises InputError, also where its numbers are not those of its id."""
     try:
-        entry = Entry.model_validate_json(path.read_bytes())
+        return parse_entry(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}).") from None
-    except ValidationError as error:
-        first = next((e for e in error.errors() if e["loc"] == ("schema_version",)), error.errors()[0])
-        where = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        if where == "schema_version":
-            raise InputError(
-                f"{path} has schema_version {first['input']!r}, this version of xmarl-bench reads "
-                f"{SCHEMA_VERSION}: score it again, or move it away."
-            ) from None
-        raise InputError(f"{path} is not an entry: {first['msg']} at {where}.") from None
-    if entry_id(entry) != entry.entry_id:
-        raise InputError(
-            f"{path} was changed after it was written (its entry_id does not fit): score it again."
+    except ValueError as error:
+        raise InputError(f"{path} {error}.") from None
+
+
+def parse_entry(data: bytes) -> Entry:
+    """The entry of JSON text. Raises ValueError, whose text is a clause without a full stop: "is no ..."."""
+    try:
+        value = parse_json(data)
+    except ValueError as error:
+        raise ValueError(f"is not an entry: it {error}") from None
+    version = value.get("schema_version") if isinstance(value, dict) else SCHEMA_VERSION
+    if version != SCHEMA_VERSION:
+        raise ValueError(
+            f"has schema_version {shown(version)}, this version of xmarl-bench reads {SCHEMA_VERSION}: "
+            f"score it again, or move it away"
         )
+    try:
+        entry = Entry.model_validate_json(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = shown(".".join(str(part) for part in first["loc"]), 120).strip("'") or "the whole file"
+        raise ValueError(f"is not an entry: {first['msg']} at {where}") from None
+    if entry_id(entry) != entry.entry_id:
+        raise ValueError("was changed after it was written (its entry_id does not fit): score it again")
     return entry
 
 

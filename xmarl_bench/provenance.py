@@ -11,6 +11,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import torch
+
 from xmarl_bench.entry import Provenance
 
 PACKAGES = ("joblib", "numpy", "pettingzoo", "pydantic", "pymunk", "safetensors", "torch", "torch-geometric")
@@ -29,7 +31,9 @@ def provenance(started: str, jobs: int) -> Provenance:
         packages={name: package_version(name) or "missing" for name in PACKAGES},
         python=platform.python_version(),
         os=platform.platform(),
+        machine=platform.machine(),
         cpu=_cpu(),
+        cpu_capability=torch.backends.cpu.get_cpu_capability(),
         threads=1,
         jobs=jobs,
         command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),

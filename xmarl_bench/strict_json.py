@@ -1,0 +1,74 @@
+"""JSON as a program writes it for programs: what is ambiguous or could exhaust a reader is refused.
+
+Python's parser takes NaN, turns 1e999 into infinity, keeps the last of two equal keys and reads whatever size
+it is given; files of strangers are read with none of that.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any, NoReturn
+
+MAX_BYTES = 16 * 1024 * 1024
+# Each delimiter is at most one more value to validate, at some microseconds each: a bound on time.
+MAX_VALUES = 200_000
+MAX_DIGITS = 19  # of an integer: more than 2**53, which readers in other languages keep exact
+
+
+def parse_json(data: bytes, *, max_bytes: int = MAX_BYTES) -> Any:
+    """The value of strict JSON text in UTF-8.
+
+    Raises ValueError, whose text is a clause without a full stop, for what is no JSON, holds NaN, infinity or
+    one key twice, or is too large, too deep (about a thousand levels) or of too many values.
+    """
+    if len(data) > max_bytes:
+        raise ValueError(f"holds {len(data)} bytes, more than the {max_bytes} that are read")
+    if data.count(b",") + data.count(b"[") + data.count(b"{") > MAX_VALUES:
+        raise ValueError(f"holds more than the {MAX_VALUES} values that are read")
+    try:
+        return json.loads(
+            data.decode(),
+            object_pairs_hook=_unique,
+            parse_constant=_no_constant,
+            parse_float=_finite,
+            parse_int=_short,
+        )
+    except UnicodeDecodeError:
+        raise ValueError("is not text in UTF-8") from None
+    except json.JSONDecodeError as error:
+        raise ValueError(f"is no JSON ({error.msg} in line {error.lineno})") from None
+    except RecursionError:
+        raise ValueError("is nested too deep") from None
+
+
+def shown(text: object, length: int = 80) -> str:
+    """A stranger's text for a terminal or a log: quoted, printable ASCII, one line, shortened."""
+    line = ascii(text if isinstance(text, str) else str(text))
+    return line if len(line) <= length else line[: length - 4] + "..." + line[-1]
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    value = dict(pairs)
+    if len(value) != len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"has the key {shown(twice)} twice in one object")
+    return value
+
+
+def _no_constant(text: str) -> NoReturn:
+    raise ValueError(f"holds {text}, which is no JSON number")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"holds the number {shown(text, 24)}, which is too large")
+    return value
+
+
+def _short(text: str) -> int:
+    if len(text) > MAX_DIGITS + 1:
+        raise ValueError(f"holds an integer of {len(text)} digits")
+    return int(text)

@@ -61,8 +61,8 @@ def edited(entry: Entry, edit: Any) -> str:
         (lambda value: value["results"][0]["metrics"].update(fid_squared=1), "fid_squared"),
         (lambda value: value["results"][0]["episodes"][0].pop("gef"), "gef"),
         (lambda value: value["results"][0]["episodes"][0].update(gef="0.5"), "gef"),
-        (lambda value: value["results"][0]["episodes"][0].update(gef=float("nan")), "gef"),
-        (lambda value: value["results"][0]["episodes"][0].update(gef=float("inf")), "gef"),
+        (lambda value: value["results"][0]["episodes"][0].update(gef=float("nan")), "holds NaN"),
+        (lambda value: value["results"][0]["episodes"][0].update(gef=float("inf")), "holds Infinity"),
         (lambda value: value.update(schema_version=1), "has schema_version 1, .* reads 3: score it again"),
         (lambda value: value["results"][0]["episodes"][0].update(gef=0.123), "changed after it was written"),
     ],
@@ -112,7 +112,9 @@ def test_aggregates_follow_from_the_rows(entry: Entry) -> None:
 
 
 def test_every_metric_of_a_row_is_summarised() -> None:
-    assert set(EpisodeRow.model_fields) - set(Metrics.model_fields) == {"seed", "length", "timesteps"}
+    assert set(EpisodeRow.model_fields) - set(Metrics.model_fields) == {
+        "seed", "length", "timesteps", "budget", "comm_budget",
+    }  # fmt: skip
 
 
 def test_intervals_cover_the_mean_and_constants_have_width_zero() -> None:

@@ -1,23 +1,35 @@
-"""The architecture of a policy as data: enough to rebuild the network, nothing that could run."""
+"""The architecture of a policy as data: enough to rebuild the network, nothing that could run.
+
+Widths, layers and heads are bounded here; that a record's weights fit into memory is checked before anything
+is built, see xmarl_bench.policy.build.
+"""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from xmarl_bench.policy.distribution import DistributionKind
+from xmarl_bench.policy.graph import CompleteGraph, Graph
 
 Width = Annotated[int, Field(ge=1, le=2048)]
 Widths = Annotated[tuple[Width, ...], Field(max_length=8)]
-Activation = Literal["tanh", "relu"]
+Activation = Literal["tanh", "relu", "elu", "leaky_relu", "silu", "identity"]
+Convolution = Literal["GATConv", "GATv2Conv", "TransformerConv"]
+MAX_LAYER_WIDTH = 4096  # of all heads together
 
 
-class Architecture(BaseModel):
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class Architecture(_Record):
     """MLP encoder, one GATv2 layer with one head, MLP decoder to the (loc, scale) of a TanhNormal.
 
-    An empty `encoder` is the identity. Source: Kailas et al. (ICML 2025), section "Tasks".
+    An empty `encoder` is the identity. On the complete graph. Source: Kailas et al. (ICML 2025), section
+    "Tasks".
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     kind: Literal["mlp-gatv2-mlp"] = "mlp-gatv2-mlp"
     obs_dim: Annotated[int, Field(ge=1, le=4096)]
@@ -29,3 +41,95 @@ class Architecture(BaseModel):
     decoder: Widths
     decoder_activation: Activation
     distribution: Literal["tanh_normal"] = "tanh_normal"
+
+    @property
+    def graph(self) -> Graph:
+        return CompleteGraph()
+
+
+class GraphLayer(_Record):
+    """One attention layer of torch_geometric and the activation after it."""
+
+    conv: Convolution
+    width: Width  # of each head
+    heads: Annotated[int, Field(ge=1, le=16)] = 1
+    concat: bool = True  # heads side by side; False is their mean
+    # Adds the layer's input through a linear map: `residual` of GATConv and GATv2Conv, `root_weight` of
+    # TransformerConv. It is no message, so no mask touches it.
+    residual: bool = False
+    activation: Activation
+
+    @property
+    def out_width(self) -> int:
+        return self.width * self.heads if self.concat else self.width
+
+    @model_validator(mode="after")
+    def _bounded(self) -> GraphLayer:
+        if self.width * self.heads > MAX_LAYER_WIDTH:
+            raise ValueError(
+                f"{self.heads} heads of width {self.width} are more than {MAX_LAYER_WIDTH} in all"
+            )
+        return self
+
+
+class LayeredArchitecture(_Record):
+    """MLP encoder, one or more attention layers on any `Graph`, MLP decoder, any distribution.
+
+    An empty `encoder` is the identity.
+    """
+
+    kind: Literal["mlp-layers-mlp"] = "mlp-layers-mlp"
+    obs_dim: Annotated[int, Field(ge=1, le=4096)]
+    action_dim: Annotated[int, Field(ge=1, le=64)] = 2
+    encoder: Widths = ()
+    encoder_activation: Activation = "tanh"
+    layers: Annotated[tuple[GraphLayer, ...], Field(min_length=1, max_length=8)]
+    decoder: Widths = ()
+    decoder_activation: Activation = "tanh"
+    distribution: DistributionKind = "tanh_normal"
+    graph: Graph = CompleteGraph()
+
+    def as_one_layer(self) -> Architecture | None:
+        """The same network as the record of the fast path; None where it is another."""
+        layer = self.layers[0]
+        fits = (
+            len(self.layers) == 1
+            and (layer.conv, layer.heads, layer.residual) == ("GATv2Conv", 1, False)
+            and self.distribution == "tanh_normal"
+            and isinstance(self.graph, CompleteGraph)
+        )
+        if not fits:
+            return None
+        return Architecture(
+            obs_dim=self.obs_dim,
+            action_dim=self.action_dim,
+            encoder=self.encoder,
+            encoder_activation=self.encoder_activation,
+            gat_width=layer.width,
+            gat_activation=layer.activation,
+            decoder=self.decoder,
+            decoder_activation=self.decoder_activation,
+        )
+
+
+class CodeArchitecture(_Record):
+    """A network that only its author's code can build: taken with `--trust-code`, never out of a bundle.
+
+    An entry that holds this record says so: its numbers can be made again by running `entry_point` alone.
+    """
+
+    kind: Literal["code"] = "code"
+    obs_dim: Annotated[int, Field(ge=1, le=4096)]
+    action_dim: Annotated[int, Field(ge=1, le=64)] = 2
+    entry_point: str  # module:factory
+    package: str | None  # the installed distribution it came with
+    version: str | None
+    code_sha256: str | None  # of the file that defines the factory
+    distribution: DistributionKind
+    graph: Graph
+
+
+AnyArchitecture = Annotated[
+    Architecture | LayeredArchitecture | CodeArchitecture, Field(discriminator="kind")
+]
+BundledArchitecture = Annotated[Architecture | LayeredArchitecture, Field(discriminator="kind")]

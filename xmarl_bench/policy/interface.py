@@ -7,30 +7,22 @@ S is the number of timesteps (or any batch), N agents, D observation entries, A 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple
+from typing import Any
 
-import torch
 from torch import Tensor, nn
 
-
-class ActionDistribution(NamedTuple):
-    """A TanhNormal per agent and action entry: tanh of a Normal(loc, scale)."""
-
-    loc: Tensor  # (..., N, A)
-    scale: Tensor  # (..., N, A), positive
-
-    @property
-    def action(self) -> Tensor:
-        """(..., N, A) in (-1, 1): the deterministic action tanh(loc), what the metrics compare."""
-        return torch.tanh(self.loc)
+from xmarl_bench.policy.distribution import ActionDistribution
+from xmarl_bench.policy.graph import CompleteGraph, Graph
 
 
 class Policy(nn.Module, ABC):
-    """A policy shared by all agents of a team on the complete graph with self loops.
+    """A policy shared by all agents of a team, on a graph with self loops.
 
-    `GraphPolicy` computes one attention layer in closed form and fast; `ModulePolicy` takes any network of
-    torch_geometric layers. Both give the same numbers where both apply.
+    `GraphPolicy` computes one attention layer on the complete graph in closed form and fast; `ModulePolicy`
+    takes any network of torch_geometric layers, on any graph. Both give the same numbers where both apply.
     """
+
+    graph: Graph = CompleteGraph()  # who can hear whom
 
     @property
     @abstractmethod
@@ -47,14 +39,21 @@ class Policy(nn.Module, ABC):
 
     @abstractmethod
     def decode(self, prepared: Any, mask: Tensor | None = None) -> ActionDistribution:
-        """F(m). mask: (..., S, N, N) in [0, 1], any leading axes; None is the mask of ones."""
+        """F(m). mask: (..., S, N, N) in [0, 1], any leading axes; None is the mask of ones.
+
+        What a mask holds where the graph has no edge is not read.
+        """
 
     @abstractmethod
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers.
 
-        Raises InputError where no layer attends.
+        0 where the graph has no edge. Raises InputError where no layer attends.
         """
+
+    def adjacency(self, observation: Tensor) -> Tensor | None:
+        """(S, N, D) -> (S, N, N) bool, [s, i, j] for the edge j -> i; None for the complete graph."""
+        return None if isinstance(self.graph, CompleteGraph) else self.graph.adjacency(observation)
 
     def distribution(self, observation: Tensor, mask: Tensor | None = None) -> ActionDistribution:
         """(S, N, D) observations -> the action distributions under the mask."""

@@ -18,8 +18,14 @@ from torch_geometric.explain.algorithm.utils import clear_masks, set_masks
 from torch_geometric.nn import MessagePassing
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.interface import ActionDistribution, Policy
-from xmarl_bench.policy.network import complete_graph, tanh_normal
+from xmarl_bench.policy.distribution import (
+    ActionDistribution,
+    DistributionKind,
+    action_distribution,
+    raw_width,
+)
+from xmarl_bench.policy.graph import CompleteGraph, Graph, complete_graph, edge_index_of
+from xmarl_bench.policy.interface import Policy
 
 SAME = 1e-4  # largest difference between a graph alone and in a batch that rounding may explain
 
@@ -28,22 +34,34 @@ class PreparedGraphs(NamedTuple):
     """Nothing of a stack of layers is independent of the mask but what comes in."""
 
     observation: Tensor  # (S, N, D)
+    adjacency: Tensor | None  # (S, N, N); None is the complete graph
 
 
 class ModulePolicy(Policy):
     """A policy made of any module `network(x (n, D), edge_index (2, edges)) -> (n, 2A)`.
 
-    The output holds the location of each action's TanhNormal, then its scale before the biased softplus of
-    `tanh_normal`. Agents may mix in PyG message-passing layers only, called with the complete graph and
-    its explicit loops. Raises InputError where a layer adds loops of its own (PyG would read the mask in
-    another order than the caller's, silently), where edges run backwards, where the output's width is not
-    2A, and where graphs of a batch are not independent (a mean over all nodes, say).
+    The output holds the location of each action's Normal, then its scale before the biased softplus of
+    `action_distribution`; of a deterministic policy the locations alone. Agents may mix in PyG
+    message-passing layers only, called with the edges of `graph`, loops among them. Raises InputError where a
+    layer adds loops of its own (PyG would read the mask in another order than the caller's, silently), where
+    edges run backwards, where the output's width is another, and where graphs of a batch are not independent
+    (a mean over all nodes, say).
     """
 
-    def __init__(self, network: nn.Module, obs_dim: int, action_dim: int = 2) -> None:
+    def __init__(
+        self,
+        network: nn.Module,
+        obs_dim: int,
+        action_dim: int = 2,
+        *,
+        distribution: DistributionKind = "tanh_normal",
+        graph: Graph | None = None,
+    ) -> None:
         super().__init__()
         self.network = network
         self.obs_dim, self.action_dim = obs_dim, action_dim
+        self.distribution_kind: DistributionKind = distribution
+        self.graph = CompleteGraph() if graph is None else graph
         _check_layers(network)
         self.eval()
         self._check_output()
@@ -61,30 +79,36 @@ class ModulePolicy(Policy):
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
         """(n, D), (2, edges) -> (n, A) deterministic actions."""
-        return tanh_normal(self.network(x, edge_index)).action
+        return action_distribution(self.network(x, edge_index), self.distribution_kind).action
 
     def prepare(self, observation: Tensor) -> PreparedGraphs:
-        """(S, N, D), kept as it is."""
-        return PreparedGraphs(observation)
+        """(S, N, D), kept as it is, and who hears whom in it."""
+        return PreparedGraphs(observation, self.adjacency(observation))
 
     def decode(self, prepared: PreparedGraphs, mask: Tensor | None = None) -> ActionDistribution:
         """F(m); see `Policy.decode`."""
-        observation = prepared.observation
+        observation, adjacency = prepared
         n_agents = observation.shape[-2]
-        if mask is None:
-            shape, applied = observation.shape[:-2], None
-        else:
-            shape = torch.broadcast_shapes(mask.shape[:-2], observation.shape[:-2])
-            applied = mask.expand(*shape, n_agents, n_agents).reshape(-1)
+        leading = observation.shape[:-2] if mask is None else mask.shape[:-2]
+        shape = torch.broadcast_shapes(leading, observation.shape[:-2])
         x = observation.expand(*shape, n_agents, -1).reshape(math.prod(shape) * n_agents, -1)
-        edge_index = block_diagonal(math.prod(shape), n_agents)
+        applied = None if mask is None else mask.expand(*shape, n_agents, n_agents)
+        if adjacency is None:
+            edge_index = block_diagonal(math.prod(shape), n_agents)
+            applied = None if applied is None else applied.reshape(-1)
+        else:
+            there = adjacency.expand(*shape, n_agents, n_agents)
+            edge_index = edge_index_of(there.reshape(-1, n_agents, n_agents))
+            applied = None if applied is None else applied[there]
         with _masked(self.network, applied, edge_index):
             raw: Tensor = self.network(x, edge_index)
-        return tanh_normal(raw.view(*shape, n_agents, 2 * self.action_dim))
+        return action_distribution(raw.view(*shape, n_agents, -1), self.distribution_kind)
 
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers."""
-        n_steps, n_agents, _ = observation.shape
+        adjacency = self.adjacency(observation)
+        there = torch.ones(*observation.shape[:-1], observation.shape[1], dtype=torch.bool)
+        there = there if adjacency is None else adjacency
         found: list[Tensor] = []
 
         def keep(layer: MessagePassing, inputs: tuple[dict[str, Any]], output: Tensor) -> None:
@@ -92,7 +116,9 @@ class ModulePolicy(Policy):
             if not isinstance(alpha, Tensor):
                 alpha = getattr(layer, "_alpha", None)  # where TransformerConv keeps it
             if alpha is not None:
-                found.append(alpha.reshape(n_steps, n_agents, n_agents, -1).mean(dim=-1))
+                spread = alpha.new_zeros(there.shape)
+                spread[there] = alpha.reshape(len(alpha), -1).mean(dim=-1)
+                found.append(spread)
 
         with ExitStack() as hooks:
             for layer in _layers(self.network):
@@ -108,10 +134,12 @@ class ModulePolicy(Policy):
         x = self._probe()
         with torch.no_grad():
             alone, beside = self.network(x[:3], complete_graph(3)), self.network(x, block_diagonal(2, 3))
-        if tuple(alone.shape) != (3, 2 * self.action_dim):
+        width = raw_width(self.distribution_kind, self.action_dim)
+        if tuple(alone.shape) != (3, width):
+            holds = "location" if width == self.action_dim else "location and raw scale"
             raise InputError(
                 f"{type(self.network).__name__} returned shape {tuple(alone.shape)} for 3 agents: return "
-                f"(3, {2 * self.action_dim}), location and raw scale of {self.action_dim} action entries."
+                f"(3, {width}), {holds} of {self.action_dim} action entries."
             )
         if float((beside[:3] - alone).abs().max()) > SAME:
             raise InputError(

@@ -6,7 +6,6 @@ A action entries. `mask[s, i, j]` scales the message on edge j -> i (sender j, r
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,11 +15,17 @@ from torch.nn import functional as F
 from torch_geometric.nn import GATv2Conv
 
 from xmarl_bench.policy.architecture import Architecture
-from xmarl_bench.policy.interface import ActionDistribution, Policy
+from xmarl_bench.policy.distribution import ActionDistribution, action_distribution
+from xmarl_bench.policy.interface import Policy
 
-ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
-SCALE_BIAS = math.log(math.e - 1.0)  # softplus(0 + SCALE_BIAS) = 1, as TorchRL's "biased_softplus_1.0"
-MIN_SCALE = 1e-4
+ACTIVATIONS: dict[str, type[nn.Module]] = {
+    "tanh": nn.Tanh,
+    "relu": nn.ReLU,
+    "elu": nn.ELU,
+    "leaky_relu": nn.LeakyReLU,
+    "silu": nn.SiLU,
+    "identity": nn.Identity,
+}
 
 
 class Prepared(NamedTuple):
@@ -43,14 +48,14 @@ class GraphPolicy(Policy):
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()
         self.architecture = a = architecture
-        self.encoder = _mlp((a.obs_dim, *a.encoder), a.encoder_activation)
+        self.encoder = mlp((a.obs_dim, *a.encoder), a.encoder_activation)
         encoded = a.encoder[-1] if a.encoder else a.obs_dim
         # Loops are explicit edges of the graph: with add_self_loops=True PyG would re-order them,
         # and read an explainer's mask in another order than the caller's, silently.
         self.gat = GATv2Conv(encoded, a.gat_width, heads=1, add_self_loops=False)
         self.gat_activation = ACTIVATIONS[a.gat_activation]()
         self.decoder = nn.Sequential(
-            *_mlp((a.gat_width, *a.decoder), a.decoder_activation),
+            *mlp((a.gat_width, *a.decoder), a.decoder_activation),
             nn.Linear(a.decoder[-1] if a.decoder else a.gat_width, 2 * a.action_dim),
         )
 
@@ -82,25 +87,10 @@ class GraphPolicy(Policy):
 
     def head(self, hidden: Tensor) -> ActionDistribution:
         """(..., W) output of the layer -> the action distribution."""
-        return tanh_normal(self.decoder(self.gat_activation(hidden)))
+        return action_distribution(self.decoder(self.gat_activation(hidden)))
 
 
-def tanh_normal(raw: Tensor) -> ActionDistribution:
-    """(..., 2A) output of a decoder -> the distribution: its location, then its scale before softplus."""
-    loc, raw_scale = raw.chunk(2, dim=-1)
-    return ActionDistribution(loc, F.softplus(raw_scale + SCALE_BIAS).clamp_min(MIN_SCALE))
-
-
-def complete_graph(n_agents: int) -> Tensor:
-    """(2, N * N) edges of the complete graph with self loops, row-major by receiver.
-
-    Edge number i * N + j is j -> i, so an edge mask of PyG reshaped to (N, N) is our mask.
-    """
-    receiver, sender = torch.meshgrid(torch.arange(n_agents), torch.arange(n_agents), indexing="ij")
-    return torch.stack([sender.reshape(-1), receiver.reshape(-1)])
-
-
-def _mlp(widths: tuple[int, ...], activation: str) -> nn.Sequential:
+def mlp(widths: tuple[int, ...], activation: str) -> nn.Sequential:
     layers: list[nn.Module] = []
     for n_in, n_out in pairwise(widths):
         layers += [nn.Linear(n_in, n_out), ACTIVATIONS[activation]()]

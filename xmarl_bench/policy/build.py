@@ -1,0 +1,99 @@
+"""From an architecture record to a network, with a bound on what a record can make us allocate."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy.architecture import Architecture, LayeredArchitecture
+from xmarl_bench.policy.layers import LayeredNetwork
+from xmarl_bench.policy.module import ModulePolicy
+from xmarl_bench.policy.network import GraphPolicy
+
+MAX_PARAMETERS = 16 * 1024 * 1024  # 64 MB of float32
+LAYER = "layers.0."  # of the network that `GraphPolicy` calls `gat.`
+
+
+class LayeredPolicy(ModulePolicy):
+    """A `LayeredArchitecture` on the generic path."""
+
+    def __init__(self, architecture: LayeredArchitecture, network: LayeredNetwork) -> None:
+        super().__init__(
+            network,
+            architecture.obs_dim,
+            architecture.action_dim,
+            distribution=architecture.distribution,
+            graph=architecture.graph,
+        )
+        self.architecture = architecture
+
+
+def build_policy(
+    architecture: Architecture | LayeredArchitecture, weights: dict[str, Tensor] | None = None
+) -> GraphPolicy | LayeredPolicy:
+    """A policy in evaluation mode, on the fast path where the record allows it.
+
+    weights: tensors by the names and of the shapes of `weight_shapes`; without them the network starts at
+    random, from torch's global generator. Raises InputError for a record of too many parameters.
+    """
+    shapes = weight_shapes(architecture)
+    if weights is not None:
+        _check_shapes(shapes, weights)
+    one_layer = architecture.as_one_layer() if isinstance(architecture, LayeredArchitecture) else architecture
+    if one_layer is not None:
+        policy = GraphPolicy(one_layer)
+        if weights is not None:
+            policy.load_state_dict({_as_gat(name): tensor for name, tensor in weights.items()})
+        return policy.eval()
+    assert isinstance(architecture, LayeredArchitecture)
+    network = LayeredNetwork(architecture)
+    if weights is not None:
+        network.load_state_dict(weights)
+    return LayeredPolicy(architecture, network)
+
+
+def weights_of(policy: GraphPolicy | LayeredPolicy) -> dict[str, Tensor]:
+    """The tensors of a policy that `build_policy` made, by the names of `weight_shapes`."""
+    module: nn.Module = policy.network if isinstance(policy, LayeredPolicy) else policy
+    return {name: tensor.detach() for name, tensor in module.state_dict().items()}
+
+
+def weight_shapes(architecture: Architecture | LayeredArchitecture) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of a record's tensors, found without allocating one of them.
+
+    Raises InputError where they are more than MAX_PARAMETERS numbers together.
+    """
+    with torch.device("meta"):
+        network = (
+            GraphPolicy(architecture)
+            if isinstance(architecture, Architecture)
+            else LayeredNetwork(architecture)
+        )
+    tensors = network.state_dict()
+    total = sum(tensor.numel() for tensor in tensors.values())
+    if total > MAX_PARAMETERS:
+        raise InputError(
+            f"an architecture of {total} parameters is more than the {MAX_PARAMETERS} that are taken: "
+            f"make it narrower."
+        )
+    return {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+
+
+def _check_shapes(expected: dict[str, tuple[int, ...]], weights: dict[str, Tensor]) -> None:
+    problem = misfit(expected, {name: tuple(tensor.shape) for name, tensor in weights.items()})
+    if problem is not None:
+        raise InputError(f"the weights do not fit the architecture: {problem}.")
+
+
+def misfit(expected: dict[str, tuple[int, ...]], received: dict[str, tuple[int, ...]]) -> str | None:
+    """The first tensor whose shape is another, is missing or is too much, as a clause; None where all fit."""
+    for name in sorted(expected.keys() | received.keys()):
+        if expected.get(name) != received.get(name):
+            shape = str(received.get(name))[:80]
+            return f"tensor {name[:80]!r} has shape {shape}, expected {expected.get(name)}"
+    return None
+
+
+def _as_gat(name: str) -> str:
+    return f"gat.{name.removeprefix(LAYER)}" if name.startswith(LAYER) else name

@@ -1,0 +1,112 @@
+"""Who can hear whom: the graph a policy passes its messages on, as data and as edges.
+
+Every agent hears itself, so the loops i -> i are edges of every graph. A mask speaks of a policy's own edges
+only: where there is no edge nothing can be kept or dropped, and what a mask holds there counts for nothing.
+
+S is the number of timesteps (or any batch), N agents, D observation entries.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor
+
+from xmarl_bench.errors import InputError
+
+MAX_AGENTS = 1024
+Agent = Annotated[int, Field(ge=0, lt=MAX_AGENTS)]
+
+
+class _Graph(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class CompleteGraph(_Graph):
+    """Everyone hears everyone."""
+
+    kind: Literal["complete"] = "complete"
+
+    def check(self, n_agents: int, obs_dim: int) -> None:
+        """Any team will do."""
+
+    def adjacency(self, observation: Tensor) -> Tensor:
+        """(S, N, D) -> (S, N, N) of True."""
+        n_steps, n_agents, _ = observation.shape
+        return torch.ones(n_steps, n_agents, n_agents, dtype=torch.bool)
+
+
+class RadiusGraph(_Graph):
+    """An agent hears those at most `radius` away from it, at each timestep anew."""
+
+    kind: Literal["radius"] = "radius"
+    radius: Annotated[float, Field(gt=0)]  # metres
+    # The entries of an observation that hold the agent's position.
+    position: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1, max_length=3)] = (0, 1)
+
+    def check(self, n_agents: int, obs_dim: int) -> None:
+        """Raises InputError where observations hold no such entries."""
+        if max(self.position) >= obs_dim:
+            raise InputError(
+                f"the graph's position is entry {max(self.position)} of an observation of {obs_dim} entries: "
+                f"name entries from 0 to {obs_dim - 1}."
+            )
+
+    def adjacency(self, observation: Tensor) -> Tensor:
+        """(S, N, D) -> (S, N, N): j -> i is an edge where j is at most `radius` away from i."""
+        position = observation[..., list(self.position)].detach()
+        distance = (position[:, :, None] - position[:, None, :]).square().sum(dim=-1).sqrt()
+        return (distance <= self.radius) | torch.eye(observation.shape[1], dtype=torch.bool)
+
+
+class FixedGraph(_Graph):
+    """A given adjacency, for teams of one size: the same edges at every timestep."""
+
+    kind: Literal["fixed"] = "fixed"
+    n_agents: Annotated[int, Field(ge=1, le=MAX_AGENTS)]
+    # (sender, receiver), loops may be left out.
+    edges: Annotated[tuple[tuple[Agent, Agent], ...], Field(max_length=65536)]
+
+    def check(self, n_agents: int, obs_dim: int) -> None:
+        """Raises InputError for a team of another size, or an edge of an agent that is not in it."""
+        if n_agents != self.n_agents:
+            raise InputError(
+                f"the policy's graph is given for {self.n_agents} agents, not for {n_agents}: "
+                f"choose a team of {self.n_agents}."
+            )
+        last = max((agent for edge in self.edges for agent in edge), default=0)
+        if last >= n_agents:
+            raise InputError(
+                f"the policy's graph has an edge of agent {last} in a team of {n_agents}: "
+                f"number agents from 0 to {n_agents - 1}."
+            )
+
+    def adjacency(self, observation: Tensor) -> Tensor:
+        """(S, N, D) -> (S, N, N), the same at every timestep."""
+        n_steps, n_agents, obs_dim = observation.shape
+        self.check(n_agents, obs_dim)
+        matrix = torch.eye(n_agents, dtype=torch.bool)
+        for sender, receiver in self.edges:
+            matrix[receiver, sender] = True
+        return matrix.expand(n_steps, -1, -1)
+
+
+Graph = Annotated[CompleteGraph | RadiusGraph | FixedGraph, Field(discriminator="kind")]
+
+
+def complete_graph(n_agents: int) -> Tensor:
+    """(2, N * N) edges of the complete graph with self loops, row-major by receiver.
+
+    Edge number i * N + j is j -> i, so an edge mask of PyG reshaped to (N, N) is our mask.
+    """
+    receiver, sender = torch.meshgrid(torch.arange(n_agents), torch.arange(n_agents), indexing="ij")
+    return torch.stack([sender.reshape(-1), receiver.reshape(-1)])
+
+
+def edge_index_of(adjacency: Tensor) -> Tensor:
+    """(B, N, N) bool -> (2, E) edges of one block-diagonal graph, in the order of `mask[adjacency]`."""
+    n_agents = adjacency.shape[-1]
+    block, receiver, sender = adjacency.nonzero(as_tuple=True)
+    return torch.stack([block * n_agents + sender, block * n_agents + receiver])

@@ -72,6 +72,7 @@ def cell_result(request: Request, cell: Cell, done: Done) -> CellResult:
                 "timesteps": unit.timesteps,
                 **dict.fromkeys(SANITY),
                 **each.values,
+                **each.budgets,
                 **behaviour,
                 **unit.policy,
                 **_task_values(cell, episode),

@@ -24,7 +24,7 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout import Episode
 from xmarl_bench.sanity import SANITY_TIMESTEPS, seed_stability, weight_randomisation
-from xmarl_bench.states import States, Values, number
+from xmarl_bench.states import Budgets, States, Values, number
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Explained:
     """What one explainer scored on one episode."""
 
     values: Values  # of `ExplanationRow`, and of the sanity checks where the unit asks for them
+    budgets: Budgets  # of `EpisodeRow`
     inverted: Values  # of `ExplanationRow`, for 1 - mask
     seconds: float  # for the masks alone
 
@@ -79,8 +80,8 @@ class Unit:
             sanity = self._sanity(explainer, states, mask) if self.sanity else {}
         except InputError as error:
             return error
-        values, inverted = states.with_inverse(mask)
-        return Explained({**values, **sanity}, inverted, seconds)
+        values, budgets, inverted = states.with_inverse(mask)
+        return Explained({**values, **sanity}, budgets, inverted, seconds)
 
     def _mask(self, explainer: Explainer, states: States) -> Tensor:
         seed = derived_seed("explainer", self.seed, explainer.name, self.episode.seed)

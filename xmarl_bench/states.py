@@ -40,6 +40,7 @@ from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy
 
 Floats = NDArray[np.float64]
 Values = dict[str, float | None]
+Budgets = dict[str, dict[str, tuple[float | None, ...] | None]]
 
 
 @dataclass(frozen=True)
@@ -55,10 +56,33 @@ class Ranking:
         delta = fid_delta_table(change)
         return cls(delta, random_at_k(delta), oracle_at_k(delta))
 
-    def score(self, senders: NDArray[np.floating], noise: Floats) -> tuple[float, float]:
-        """(S, N, M) mask and noise -> FidDelta@k, mean over k, and budgeted fidelity."""
+    def score(self, senders: NDArray[np.floating], noise: Floats) -> Ranked:
+        """(S, N, M) mask and noise -> what the mask's ranking scores."""
         explained = fid_delta_at_k(self.delta, top_k_rows(senders, noise))
-        return _mean(explained), budgeted_fidelity(explained, self.random, self.oracle)
+        budgeted = budgeted_fidelity(explained, self.random, self.oracle)
+        return Ranked(explained, self.random, self.oracle, budgeted)
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A mask's FidDelta@k, k = 1 .. M - 1, and what it is placed between; that is None without a table."""
+
+    explained: Floats
+    random: Floats | None
+    oracle: Floats | None
+    budgeted: float
+
+    @property
+    def mean(self) -> float:
+        return float(self.explained.mean()) if self.explained.size else math.nan
+
+    def record(self) -> dict[str, tuple[float | None, ...] | None]:
+        """Of `BudgetRow`."""
+        curves = {"explained": self.explained, "random": self.random, "oracle": self.oracle}
+        return {
+            name: None if curve is None else tuple(number(value) for value in curve)
+            for name, curve in curves.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -105,15 +129,30 @@ class States:
     @torch.no_grad()
     def mask_metrics(self, mask: Tensor) -> Values:
         """Metrics of a mask (S, N, N), over the S timesteps together. What is not a number is None."""
-        return self._values(mask, *self._sides(mask))
+        return self._values(mask, *self._rankings(mask), *self._sides(mask))
 
     @torch.no_grad()
-    def with_inverse(self, mask: Tensor) -> tuple[Values, Values]:
-        """Metrics of a mask and of 1 - mask, for what one keeps the other drops."""
+    def with_inverse(self, mask: Tensor) -> tuple[Values, Budgets, Values]:
+        """Metrics of a mask, its FidDelta at every budget, and metrics of 1 - mask.
+
+        The inverse needs no forward of its own, for what one mask keeps the other drops.
+        """
         kept, dropped, heard, unheard = self._sides(mask)
+        all_edges, communication = self._rankings(mask)
+        inverse = 1.0 - mask
         return (
-            self._values(mask, kept, dropped, heard, unheard),
-            self._values(1.0 - mask, dropped, kept, unheard, heard),
+            self._values(mask, all_edges, communication, kept, dropped, heard, unheard),
+            {"budget": all_edges.record(), "comm_budget": communication.record()},
+            self._values(inverse, *self._rankings(inverse), dropped, kept, unheard, heard),
+        )
+
+    def _rankings(self, mask: Tensor) -> tuple[Ranked, Ranked]:
+        """Of all edges, and of the messages between agents alone."""
+        senders, noise = mask.numpy(), self.noise
+        own = torch.eye(mask.shape[-1])
+        return (
+            self._rank(self.all_edges, senders, noise, torch.zeros_like(own)),
+            self._rank(self.communication, other_senders(senders), other_senders(noise), own),
         )
 
     def _sides(self, mask: Tensor) -> Iterator[ActionDistribution]:
@@ -125,6 +164,8 @@ class States:
     def _values(
         self,
         mask: Tensor,
+        all_edges: Ranked,
+        communication: Ranked,
         kept: ActionDistribution,
         dropped: ActionDistribution,
         heard: ActionDistribution,
@@ -132,15 +173,8 @@ class States:
     ) -> Values:
         fid, comm = self._fidelity(kept, dropped), self._fidelity(heard, unheard)
         kl, comm_kl = self._kl(kept), self._kl(heard)
-        own = torch.eye(mask.shape[-1])
-        senders, noise = mask.numpy(), self.noise
-        top, budgeted = self._rank(self.all_edges, senders, noise, torch.zeros_like(own))
-        comm_top, comm_budgeted = self._rank(
-            self.communication, other_senders(senders), other_senders(noise), own
-        )
-        renorm_top, renorm_budgeted = (
-            (math.nan, math.nan) if self.renormalised is None else self.renormalised.score(senders, noise)
-        )
+        senders = mask.numpy()
+        renorm = None if self.renormalised is None else self.renormalised.score(senders, self.noise)
         values = {
             "fid_plus": fid.plus.mean(),
             "fid_minus": fid.minus.mean(),
@@ -148,16 +182,16 @@ class States:
             "gef": graph_explanation_unfaithfulness(kl).mean(),
             "median_kl": np.median(kl),
             "mask_mass": mask_mass(senders).mean(),
-            "topk_fid_delta": top,
-            "budgeted_fidelity": budgeted,
+            "topk_fid_delta": all_edges.mean,
+            "budgeted_fidelity": all_edges.budgeted,
             "comm_fid_plus": comm.plus.mean(),
             "comm_fid_minus": comm.minus.mean(),
             "comm_fid_delta": comm.delta.mean(),
             "comm_gef": graph_explanation_unfaithfulness(comm_kl).mean(),
-            "comm_topk_fid_delta": comm_top,
-            "comm_budgeted_fidelity": comm_budgeted,
-            "renorm_topk_fid_delta": renorm_top,
-            "renorm_budgeted_fidelity": renorm_budgeted,
+            "comm_topk_fid_delta": communication.mean,
+            "comm_budgeted_fidelity": communication.budgeted,
+            "renorm_topk_fid_delta": math.nan if renorm is None else renorm.mean,
+            "renorm_budgeted_fidelity": math.nan if renorm is None else renorm.budgeted,
         }
         return {name: number(value) for name, value in values.items()}
 
@@ -188,7 +222,7 @@ class States:
 
     def _rank(
         self, ranking: Ranking | None, senders: NDArray[np.floating], noise: Floats, always: Tensor
-    ) -> tuple[float, float]:
+    ) -> Ranked:
         """FidDelta@k and budgeted fidelity; without a table the first alone, by decoding each mask.
 
         always: (N, N), edges kept in subgraph and complement.
@@ -201,16 +235,12 @@ class States:
             mask = torch.maximum(top, always)
             other = torch.maximum(1.0 - mask, always)
             explained.append(self._fidelity(self._decode(mask), self._decode(other)).delta.mean())
-        return _mean(np.array(explained)), math.nan
+        return Ranked(np.array(explained), None, None, math.nan)
 
 
 def number(value: float) -> float | None:
     """JSON has no NaN: what is not a finite number is None, and is counted as `n_nan` further on."""
     return float(value) if math.isfinite(value) else None
-
-
-def _mean(values: Floats) -> float:
-    return float(values.mean()) if values.size else math.nan
 
 
 def _action(distribution: ActionDistribution) -> NDArray[np.float32]:

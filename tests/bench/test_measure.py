@@ -13,6 +13,7 @@ from xmarl_bench.controls import CONTROLS
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.measure import Explained, Measured, Unit, spaced_timesteps
+from xmarl_bench.metrics import budgeted_fidelity
 from xmarl_bench.policy import Policy
 from xmarl_bench.rollout import Episode
 
@@ -106,6 +107,30 @@ def test_the_inverse_of_a_mask_is_its_complement() -> None:
     assert isinstance(result, Explained)
     assert result.inverted == measured().controls["zeros"]
     assert result.inverted["fid_delta"] == -(result.values["fid_delta"] or 0.0)
+
+
+def test_budgets_are_what_budgeted_fidelity_is_made_of() -> None:
+    each = measured(CONTROLS["random"]).explained["random"]
+    assert isinstance(each, Explained)
+    for budget, prefix, n_senders in (("budget", "", 3), ("comm_budget", "comm_", 2)):
+        curves = [
+            np.array(each.budgets[budget][name], dtype=float) for name in ("explained", "random", "oracle")
+        ]
+        assert [curve.shape for curve in curves] == [(n_senders - 1,)] * 3
+        assert budgeted_fidelity(*curves) == each.values[f"{prefix}budgeted_fidelity"]
+        assert curves[0].mean() == each.values[f"{prefix}topk_fid_delta"]
+        assert (curves[2] >= curves[0]).all()
+
+
+def test_without_an_oracle_a_budget_has_the_explained_curve_alone() -> None:
+    observations = random_observations(2, 11, 6).numpy()
+    crowd = Episode(7, observations, 0.0, 0.0, 0.0, 0.0, 2)
+    each = Unit(small_policy(6), (CONTROLS["random"],), crowd, 0, None, False).run().explained["random"]
+    assert isinstance(each, Explained)
+    for budget, n_senders in (("budget", 11), ("comm_budget", 10)):
+        record = each.budgets[budget]
+        assert record["random"] is record["oracle"] is None
+        assert len(record["explained"] or ()) == n_senders - 1
 
 
 def test_the_error_of_one_explainer_does_not_stop_the_others() -> None:

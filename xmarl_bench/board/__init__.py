@@ -51,7 +51,7 @@ POLICY_METRICS = (
     "success_rate", "no_agent_collision", "no_object_collision", "makespan", "reward",
     "communication_dependence", "attention_entropy", "attention_distance",
 )  # fmt: skip
-TEMPLATE = Path(__file__).with_name("board.html.jinja")
+TEMPLATE = Path(__file__).with_name("templates") / "index.html.jinja"
 
 
 def build_board(folder: Path) -> Path:

@@ -10,6 +10,8 @@ from xmarl_bench.commands.evaluate import evaluate
 from xmarl_bench.commands.list import list_
 from xmarl_bench.commands.render import render
 from xmarl_bench.commands.score import score
+from xmarl_bench.commands.submit import submit
+from xmarl_bench.commands.validate import validate
 from xmarl_bench.errors import InputError
 
 app = typer.Typer(
@@ -23,6 +25,8 @@ app.command()(score)
 app.command("list")(list_)
 app.command()(evaluate)
 app.command()(render)
+app.command()(submit)
+app.command()(validate)
 
 
 def main() -> None:

@@ -41,6 +41,11 @@ def canonical_json(value: Any) -> bytes:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
+def pretty_json(value: Any) -> bytes:
+    """JSON for people: sorted keys, two spaces. NaN and infinity are refused (ValueError)."""
+    return (json.dumps(value, sort_keys=True, indent=2, allow_nan=False) + "\n").encode()
+
+
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON for people: sorted keys, two spaces. NaN and infinity are refused (ValueError)."""
-    write_atomically(path, (json.dumps(value, sort_keys=True, indent=2, allow_nan=False) + "\n").encode())
+    """Write JSON for people, whole or not at all."""
+    write_atomically(path, pretty_json(value))

@@ -1,0 +1,39 @@
+"""`xmarl-bench validate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Paths = Annotated[
+    list[Path], typer.Argument(help="Entry files, folders of entries, or bundles (a zip or a folder).")
+]
+
+
+def validate(paths: Paths) -> None:
+    """Check entries and submission bundles without running anything: one line per finding.
+
+    Exit code 0: all are valid; 1: something is not; 2: something could not be read.
+    """
+    import sys
+
+    from xmarl_bench.errors import InputError
+    from xmarl_bench.submission.checking import check
+
+    code = 0
+    for path in paths:
+        try:
+            checked = check(path)
+        except InputError as error:
+            print(f"xmarl-bench: {error}", file=sys.stderr)
+            code = 2
+            continue
+        for finding in checked.findings:
+            print(f"{path}: {finding}")
+        if checked.findings:
+            code = max(code, 1)
+        else:
+            print(f"{path}: valid, {len(checked.entries)} entries.")
+    raise SystemExit(code)

@@ -1,0 +1,1 @@
+"""What strangers hand in: packed, checked without running anything, then run again where that is wanted."""

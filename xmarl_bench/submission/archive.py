@@ -1,0 +1,137 @@
+"""The files of a bundle, a folder or a zip, as bytes in bounded memory and time.
+
+Nothing is unpacked: names come out of a stranger's file, so they are compared with a closed list and never
+become paths. Sizes in headers are claims; what is read is counted.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.strict_json import MAX_BYTES as MAX_JSON
+from xmarl_bench.strict_json import shown
+
+MANIFEST: Final = "manifest.json"
+_NAME = r"[a-z0-9][a-z0-9._-]{0,99}"
+# What a bundle may hold, and at most how many bytes of it: lower case, so that no two differ in case alone.
+KINDS: dict[str, tuple[re.Pattern[str], int]] = {
+    "manifest": (re.compile(r"manifest\.json"), 1024 * 1024),
+    "licence": (re.compile(r"LICENSE"), 256 * 1024),
+    "readme": (re.compile(r"README\.md"), 256 * 1024),
+    "entry": (re.compile(r"entries/[a-z0-9][a-z0-9._-]{0,250}\.json"), MAX_JSON),
+    "rows": (re.compile(r"rows/[a-z0-9][a-z0-9._-]{0,250}\.csv"), MAX_JSON),
+    "card": (re.compile(rf"policies/{_NAME}/policy\.json"), 1024 * 1024),
+    "weights": (re.compile(rf"policies/{_NAME}/policy\.safetensors"), 68 * 1024 * 1024),
+}
+MAX_FILES, MAX_TOTAL = 1000, 128 * 1024 * 1024
+MAX_ZIP, MAX_DIRECTORY = 128 * 1024 * 1024, 256 * 1024
+_END, _END_SIZE = b"PK\x05\x06", 22
+
+
+def kind_of(name: str) -> str | None:
+    """Which of KINDS a file's name is of; None for a name that no bundle holds."""
+    return next((kind for kind, (pattern, _) in KINDS.items() if pattern.fullmatch(name)), None)
+
+
+def read_files(path: Path) -> dict[str, bytes]:
+    """Every file of a bundle, by its name with forward slashes.
+
+    Raises InputError where the path is no folder and no zip, and for whatever else cannot be read;
+    ValueError, a sentence, for a name or an amount that no bundle has.
+    """
+    files: dict[str, bytes] = {}
+    total = 0
+    for name, data in _folder(path) if path.is_dir() else _zip(path):
+        total += len(data)
+        if name in files:
+            raise ValueError(f"it holds {shown(name)} twice.")
+        if len(files) >= MAX_FILES or total > MAX_TOTAL:
+            raise ValueError(f"it holds more than {MAX_FILES} files or {MAX_TOTAL} bytes.")
+        files[name] = data
+    return files
+
+
+def limit(name: str) -> int:
+    """At most so many bytes of a file. Raises ValueError for a name that no bundle holds."""
+    kind = kind_of(name)
+    if kind is None:
+        raise ValueError(f"it holds {shown(name)}, which is no file of a bundle.")
+    return KINDS[kind][1]
+
+
+def _checked(name: str, data: bytes) -> tuple[str, bytes]:
+    if len(data) > limit(name):
+        raise ValueError(f"its {shown(name)} holds more than {limit(name)} bytes.")
+    return name, data
+
+
+def _folder(path: Path) -> Iterator[tuple[str, bytes]]:
+    seen = 0
+    for folder, folders, names in os.walk(path, onerror=_unreadable):
+        folders.sort()
+        for name in [*folders, *sorted(names)]:
+            seen += 1
+            if seen > 2 * MAX_FILES:
+                raise ValueError(f"it holds more than {MAX_FILES} files.")
+            file = Path(folder) / name
+            mode = file.lstat().st_mode
+            relative = file.relative_to(path).as_posix()
+            if stat.S_ISREG(mode):
+                with file.open("rb") as opened:
+                    yield _checked(relative, opened.read(limit(relative) + 1))
+            elif not stat.S_ISDIR(mode):
+                raise ValueError(f"it holds {shown(relative)}, a link or special file.")
+
+
+def _unreadable(error: OSError) -> None:
+    raise error
+
+
+def _zip(path: Path) -> Iterator[tuple[str, bytes]]:
+    if path.stat().st_size > MAX_ZIP:
+        raise ValueError(f"it holds more than {MAX_ZIP} bytes.")
+    try:
+        with path.open("rb") as file:
+            _check_directory(file.read())
+            archive = zipfile.ZipFile(file)
+            for member in archive.infolist():
+                if member.is_dir():
+                    continue
+                name = member.orig_filename  # `filename` was made to look harmless
+                if stat.S_IFMT(member.external_attr >> 16) not in (0, stat.S_IFREG):
+                    raise ValueError(f"it holds {shown(name)}, a link or special file.")
+                if member.flag_bits & 1 or member.compress_type not in (
+                    zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED,
+                ):  # fmt: skip
+                    raise ValueError(f"its {shown(name)} is encrypted, or packed otherwise than by deflate.")
+                most = limit(name)
+                with archive.open(member) as opened:
+                    yield _checked(name, opened.read(most + 1))
+    except (
+        zipfile.BadZipFile,
+        EOFError,
+        NotImplementedError,
+        UnicodeDecodeError,
+        struct.error,
+        zlib.error,
+    ) as e:
+        raise InputError(f"{path} is no zip that can be read ({shown(e)}): pack it again.") from None
+
+
+def _check_directory(data: bytes) -> None:
+    """The list of a zip's files is as long as it claims, and reading it takes microseconds a file."""
+    end = data.rfind(_END, max(0, len(data) - _END_SIZE - 0xFFFF))
+    if end < 0 or len(data) < end + _END_SIZE:
+        raise zipfile.BadZipFile("it has no end record")
+    size = struct.unpack_from("<I", data, end + 12)[0]
+    if size > MAX_DIRECTORY or b"PK\x06\x07" in data[max(0, end - 20) : end]:
+        raise ValueError(f"it lists more than {MAX_FILES} files.")

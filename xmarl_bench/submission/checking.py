@@ -1,0 +1,181 @@
+"""Is this an entry, or a bundle of entries, that could stand on the leaderboard? Nothing of it is run.
+
+A submitter and the maintainers ask the same question: `xmarl-bench submit`, `validate` and `verify` all end
+up here.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from xmarl_bench.entry import Entry, PolicyRecord, Verification, parse_entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.files import write_atomically
+from xmarl_bench.policy import PolicyCard, load_policy
+from xmarl_bench.strict_json import MAX_BYTES, parse_json, shown
+from xmarl_bench.submission.archive import MANIFEST, kind_of, read_files
+from xmarl_bench.submission.consistency import entry_findings
+from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
+from xmarl_bench.submission.recompute import recompute_findings
+
+MAX_FINDINGS = 20  # of one file: the first ones say enough
+
+
+@dataclass
+class Checked:
+    """What a path holds, and what is wrong with it: sentences that begin with the file's name."""
+
+    path: Path
+    entries: dict[str, Entry] = field(default_factory=dict)  # by file name
+    policies: dict[str, tuple[bytes, bytes]] = field(default_factory=dict)  # by name: card, weights
+    findings: list[str] = field(default_factory=list)
+
+
+def check(path: Path) -> Checked:
+    """An entry file, a bundle (zip, or folder with a manifest) or a folder of entries.
+
+    Raises InputError where that cannot be read; what can be read and is not valid is in `findings`.
+    """
+    checked = Checked(path)
+    try:
+        if path.suffix == ".zip" or (path / MANIFEST).is_file():
+            _check_bundle(checked)
+        elif path.is_dir():
+            names = sorted(path.glob("*.json"))
+            if not names:
+                raise InputError(f"{path} holds no entries (*.json) and no {MANIFEST}: give one that does.")
+            for name in names:
+                _check_entry(checked, name.name, _read(name))
+        else:
+            _check_entry(checked, path.name, _read(path))
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}).") from None
+    return checked
+
+
+def _read(path: Path) -> bytes:
+    if not path.is_file():
+        raise InputError(f"{path} is no file: give an entry, a bundle or a folder of them.")
+    with path.open("rb") as file:
+        return file.read(MAX_BYTES + 1)
+
+
+def _add(checked: Checked, file: str, findings: Iterator[str]) -> None:
+    listed = list(findings)
+    checked.findings += [f"{file}: {each}" for each in listed[:MAX_FINDINGS]]
+    if len(listed) > MAX_FINDINGS:
+        checked.findings.append(f"{file}: and {len(listed) - MAX_FINDINGS} findings more.")
+
+
+def _check_entry(checked: Checked, file: str, data: bytes) -> Entry | None:
+    try:
+        entry = parse_entry(data)
+    except ValueError as error:
+        checked.findings.append(f"{file}: it {error}.")
+        return None
+    checked.entries[file] = entry
+    before = len(checked.findings)
+    _add(checked, file, entry_findings(entry))
+    if len(checked.findings) == before:  # else the rows may not be ones to take means of
+        _add(checked, file, recompute_findings(entry))
+    return entry
+
+
+def _check_bundle(checked: Checked) -> None:
+    try:
+        files = read_files(checked.path)
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        checked.findings.append(f"{checked.path.name}: {error}")
+        return
+    _add(checked, MANIFEST, _manifest_findings(files))
+    if "LICENSE" not in files:
+        checked.findings.append("LICENSE: it is missing: say under which terms others may use this.")
+    for name, card in files.items():
+        if kind_of(name) == "card":
+            weights = files.get(name.replace("policy.json", "policy.safetensors"))
+            if weights is not None:
+                checked.policies[name.split("/")[1]] = card, weights
+    cards = {name: _card(checked, name, *data) for name, data in checked.policies.items()}
+    for name, data in files.items():
+        if kind_of(name) == "entry":
+            entry = _check_entry(checked, name, data)
+            if entry is not None:
+                _add(checked, name, _submission_findings(entry, name, files, cards))
+    if not any(kind_of(name) == "entry" for name in files):
+        checked.findings.append("entries/: it holds no entry.")
+    used = {entry.policy.name for entry in checked.entries.values()}
+    rows = {name for name in files if kind_of(name) == "rows"}
+    expected_rows = {name.replace("entries/", "rows/", 1)[: -len("json")] + "csv" for name in checked.entries}
+    for name in sorted(files):
+        if kind_of(name) in ("card", "weights") and name.split("/")[1] not in used:
+            checked.findings.append(f"{name}: no entry is of this policy.")
+    for name in sorted(rows - expected_rows):
+        checked.findings.append(f"{name}: there is no entry that it belongs to.")
+
+
+def _manifest_findings(files: dict[str, bytes]) -> Iterator[str]:
+    data = files.get(MANIFEST)
+    if data is None:
+        yield "it is missing: pack the bundle with `xmarl-bench submit`."
+        return
+    try:
+        parse_json(data)
+        manifest = Manifest.model_validate_json(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False, include_context=False)[0]
+        yield f"{first['msg']} at {shown('.'.join(map(str, first['loc'])), 120)}."
+        return
+    except ValueError as error:
+        yield f"it {error}."
+        return
+    found = file_records({name: content for name, content in files.items() if name != MANIFEST})
+    for name in sorted(found.keys() | manifest.files.keys()):
+        if name not in manifest.files:
+            yield f"it does not list {name}."
+        elif name not in found:
+            yield f"it lists {shown(name, 300)}, which the bundle does not hold."
+        elif manifest.files[name] != found[name]:
+            yield f"its size or sha256 of {name} is not that of the file."
+
+
+def _card(checked: Checked, name: str, card: bytes, weights: bytes) -> PolicyCard | None:
+    """The card of a policy whose weights could be loaded."""
+    with tempfile.TemporaryDirectory() as folder:
+        for file, data in (("policy.json", card), ("policy.safetensors", weights)):
+            write_atomically(Path(folder) / file, data)
+        try:
+            _, loaded = load_policy(Path(folder))
+        except InputError as error:
+            checked.findings.append(f"policies/{name}: {str(error).replace(folder + '/', '')}")
+            return None
+    return loaded
+
+
+def _submission_findings(
+    entry: Entry, name: str, files: dict[str, bytes], cards: dict[str, PolicyCard | None]
+) -> Iterator[str]:
+    if name != f"entries/{entry.file_name}":
+        yield f"its name should be {entry.file_name}."
+    if entry.verification != Verification():
+        yield "verification is for the maintainers to write: leave it out."
+    rows = files.get(f"rows/{entry.file_name.removesuffix('.json')}.csv")
+    if rows is None:
+        yield "its rows/*.csv is missing."
+    elif rows != rows_csv(entry):
+        yield "its rows/*.csv has other rows than the entry."
+    if entry.policy.name not in cards:
+        yield f"its policy is missing from policies/{entry.policy.name}/."
+        return
+    card = cards[entry.policy.name]
+    if card is None:
+        return  # said already
+    for field_name in PolicyRecord.model_fields:
+        if hasattr(card, field_name) and getattr(card, field_name) != getattr(entry.policy, field_name):
+            yield f"policy.{field_name} is not that of policies/{card.name}/policy.json."

@@ -1,0 +1,232 @@
+"""What an entry's own numbers must fulfil among themselves: found without a policy, an explainer or a rerun.
+
+Each finding is one sentence that says where. An entry that was measured has none; one that was edited, even
+with its id made to fit, has some unless every number that depends on the edited one was edited too - then the
+rerun of `xmarl_bench.submission.rerun` finds it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+from xmarl_envs import TASKS
+
+from xmarl_bench.controls import CONTROLS, INVERTED, ORACLE, RANDOM, SOFT_ORACLE
+from xmarl_bench.entry import (
+    BehaviourMetrics,
+    BudgetRow,
+    CellResult,
+    ControlMetrics,
+    Entry,
+    EpisodeRow,
+    Metrics,
+    Summary,
+)
+from xmarl_bench.metrics import budgeted_fidelity
+from xmarl_bench.protocol import DEFINITIONS
+from xmarl_bench.reproducible import episode_seeds
+from xmarl_bench.sanity import SANITY_EPISODES
+from xmarl_bench.strict_json import shown
+from xmarl_bench.summary import SANITY
+
+BEHAVIOUR = tuple(BehaviourMetrics.model_fields)
+CLOSE = 1e-9  # relative to the larger of 1 and the number: sums are taken in another order
+ALIKE = 1e-5  # actions of the same mask in another batch
+# The range of a mean is that of what it is taken of.
+RANGES: dict[str, TypeAdapter[float | None]] = {
+    name: TypeAdapter(EpisodeRow.model_fields[name].annotation) for name in ControlMetrics.model_fields
+}
+
+# (control, metric, what it equals): 0, 1, or a metric of the explainer. Each follows from the mask alone.
+IDENTITIES: tuple[tuple[str, str, float | str], ...] = (
+    ("all-ones", "fid_minus", 0.0),
+    ("all-ones", "gef", 0.0),
+    ("all-ones", "comm_fid_minus", 0.0),
+    ("all-ones", "mask_mass", 1.0),
+    ("all-ones", "comm_fid_plus", "communication_dependence"),
+    ("zeros", "fid_plus", 0.0),
+    ("zeros", "comm_fid_plus", 0.0),
+    ("zeros", "mask_mass", 0.0),
+    ("zeros", "comm_fid_minus", "communication_dependence"),
+    ("self", "fid_minus", "communication_dependence"),
+    ("self", "comm_fid_plus", 0.0),
+    ("self", "comm_fid_minus", "communication_dependence"),
+    (INVERTED, "fid_plus", "fid_minus"),
+    (INVERTED, "fid_minus", "fid_plus"),
+    (INVERTED, "comm_fid_plus", "comm_fid_minus"),
+    (INVERTED, "comm_fid_minus", "comm_fid_plus"),
+)
+
+
+def entry_findings(entry: Entry) -> Iterator[str]:
+    """Sentences, none where all is well."""
+    protocol, seed = entry.protocol, entry.explainer.seed
+    if protocol.definitions != DEFINITIONS:
+        yield f"protocol.definitions are not those of {protocol.id}."
+    if list(protocol.seeds) != episode_seeds(seed, protocol.episodes):
+        yield f"protocol.seeds are not those of seed {seed} and {protocol.episodes} episodes."
+    explained = sum(row.timesteps for cell in entry.results for row in cell.episodes)
+    if entry.cost.explained_timesteps != explained:
+        yield f"cost.explained_timesteps is {entry.cost.explained_timesteps}, the rows have {explained}."
+    cells = [(cell.task, cell.n_agents) for cell in entry.results]
+    if len(set(cells)) != len(cells):
+        yield "results hold a cell twice."
+    for k, cell in enumerate(entry.results):
+        for finding in _cell_findings(entry, cell):
+            yield f"results.{k} ({cell.task}, {cell.n_agents} agents): {finding}"
+
+
+def _cell_findings(entry: Entry, cell: CellResult) -> Iterator[str]:
+    task = TASKS.get(cell.task)
+    if task is None:
+        yield f"there is no task {shown(cell.task)}."
+        return
+    if not 1 <= cell.n_agents <= task.max_agents:
+        yield f"the task takes 1 to {task.max_agents} agents."
+    if entry.policy.task != cell.task:
+        yield f"the policy is one for {entry.policy.task}."
+    if [row.seed for row in cell.episodes] != list(entry.protocol.seeds):
+        yield f"episodes are not one for each of the {entry.protocol.episodes} seeds, in their order."
+        return
+    unknown = set(cell.not_measured) - set(Metrics.model_fields)
+    if unknown:
+        yield f"not_measured names {shown(min(unknown))}, which is no metric."
+    if (cell.behaviour_episodes == 0) != (BEHAVIOUR[0] in cell.not_measured):
+        yield f"behaviour_episodes is {cell.behaviour_episodes}, which not_measured contradicts."
+    if cell.behaviour_episodes > len(cell.episodes):
+        yield f"behaviour_episodes is {cell.behaviour_episodes}, there are {len(cell.episodes)} episodes."
+    for k, row in enumerate(cell.episodes):
+        for finding in _row_findings(entry, cell, row, k):
+            yield f"episode {k}: {finding}"
+    yield from _control_findings(cell)
+
+
+def _row_findings(entry: Entry, cell: CellResult, row: EpisodeRow, k: int) -> Iterator[str]:
+    n = cell.n_agents
+    most = entry.protocol.timesteps
+    if row.length > cell.max_cycles:
+        yield f"length {row.length} is more than max_cycles {cell.max_cycles}."
+    if row.timesteps != (row.length if most is None else min(row.length, most)):
+        yield f"timesteps {row.timesteps} are not those that the protocol takes of length {row.length}."
+    if row.makespan != row.length:
+        yield f"makespan {row.makespan} is not the length {row.length}."
+    for name in ("no_agent_collision", "no_object_collision"):
+        if getattr(row, name) not in (0.0, 1.0, None):
+            yield f"{name} is {getattr(row, name)}, neither 0 nor 1."
+    if row.success_rate is not None and abs(row.success_rate * n - round(row.success_rate * n)) > CLOSE * n:
+        yield f"success_rate {row.success_rate} is no fraction of {n} agents."
+    if row.attention_entropy is not None and row.attention_entropy > math.log(n) + ALIKE:
+        yield f"attention_entropy {row.attention_entropy} is more than log {n}."
+    if row.attention_distance is not None and row.attention_distance > n * n + ALIKE:
+        yield f"attention_distance {row.attention_distance} is more than {n * n}."
+    yield from _differences(row)
+    for prefix, budget, senders in (("", row.budget, n), ("comm_", row.comm_budget, n - 1)):
+        if budget is not None:
+            yield from _budget_findings(row, prefix, budget, senders)
+    absent = [name for name in cell.not_measured if getattr(row, name, None) is not None]
+    if k >= cell.behaviour_episodes:
+        absent += [name for name in BEHAVIOUR if getattr(row, name) is not None]
+    if k >= SANITY_EPISODES:
+        absent += [name for name in SANITY if getattr(row, name) is not None]
+    if absent:
+        yield f"{absent[0]} has a value and was not measured."
+
+
+def _differences(row: EpisodeRow) -> Iterator[str]:
+    for difference, more, less in (
+        ("fid_delta", "fid_plus", "fid_minus"),
+        ("comm_fid_delta", "comm_fid_plus", "comm_fid_minus"),
+        ("behavioural_fidelity", "success_on_explanation", "success_on_complement"),
+    ):
+        values = [getattr(row, name) for name in (difference, more, less)]
+        if None not in values and not close(values[0], values[1] - values[2]):
+            yield f"{difference} {values[0]} is not {more} - {less}."
+
+
+def _budget_findings(row: EpisodeRow, prefix: str, budget: BudgetRow, senders: int) -> Iterator[str]:
+    """The curves must have the length of the team, and give the two numbers that come of them."""
+    curves = [budget.explained, budget.random, budget.oracle]
+    if any(curve is not None and len(curve) != max(senders - 1, 0) for curve in curves):
+        yield f"{prefix}budget is not for 1 to {senders - 1} edges."
+        return
+    x = [np.array(curve or (), dtype=np.float64) for curve in curves]
+    top, budgeted = getattr(row, f"{prefix}topk_fid_delta"), getattr(row, f"{prefix}budgeted_fidelity")
+    if top is not None and not close(top, float(x[0].mean())):
+        yield f"{prefix}topk_fid_delta {top} is not the mean of {prefix}budget.explained."
+    if budgeted is not None and budget.random is not None and budget.oracle is not None:
+        derived = budgeted_fidelity(x[0], x[1], x[2])
+        if not close(budgeted, derived):
+            yield f"{prefix}budgeted_fidelity {budgeted} is not that of {prefix}budget, {derived}."
+
+
+def _control_findings(cell: CellResult) -> Iterator[str]:
+    oracles = {ORACLE, SOFT_ORACLE}
+    expected = {*CONTROLS, INVERTED} - oracles
+    if set(cell.controls) not in (expected, expected | oracles):
+        yield f"controls are {shown(', '.join(sorted(cell.controls)), 200)}, expected {sorted(expected)}."
+        return
+    for name, control in cell.controls.items():
+        for finding in _summaries_findings(cell, name, control):
+            yield f"controls.{name}: {finding}"
+    for name, metric, expected_value in IDENTITIES:
+        value = _mean(getattr(cell.controls[name], metric))
+        other = (
+            _mean(getattr(cell.metrics, expected_value))
+            if isinstance(expected_value, str)
+            else expected_value
+        )
+        if value is not None and other is not None and abs(value - other) > ALIKE:
+            yield f"controls.{name}: {metric} is {value}, and has to be {other} for that mask."
+    best = _mean(cell.controls[ORACLE].fid_delta) if ORACLE in cell.controls else None
+    for name in sorted({"all-ones", "zeros", "bernoulli", "self"} & set(cell.controls)):
+        value = _mean(cell.controls[name].fid_delta)
+        if best is not None and value is not None and value > best + ALIKE:
+            yield f"controls.{name}: fid_delta {value} is more than the oracle's, {best}."
+
+
+def _summaries_findings(cell: CellResult, name: str, control: ControlMetrics) -> Iterator[str]:
+    absent = set(cell.not_measured) if name == RANDOM else set(cell.not_measured) | set(BEHAVIOUR)
+    for metric in ControlMetrics.model_fields:
+        summary: Summary | None = getattr(control, metric)
+        if (summary is None) != (metric in absent):
+            yield f"{metric} contradicts what was measured."
+        elif summary is not None:
+            n = cell.behaviour_episodes if metric in BEHAVIOUR else len(cell.episodes)
+            if summary.n + summary.n_nan != n:
+                yield f"{metric} is of {summary.n + summary.n_nan} episodes, expected {n}."
+            yield from _summary_findings(metric, summary)
+    for prefix in ("", "comm_"):
+        names = (f"{prefix}fid_delta", f"{prefix}fid_plus", f"{prefix}fid_minus")
+        delta, plus, minus = (_mean(getattr(control, each)) for each in names)
+        if delta is not None and plus is not None and minus is not None and not close(delta, plus - minus):
+            yield f"{prefix}fid_delta {delta} is not {prefix}fid_plus - {prefix}fid_minus."
+
+
+def _summary_findings(metric: str, summary: Summary) -> Iterator[str]:
+    """The range is that of the metric's rows; the interval holds the mean."""
+    if (summary.value is None) != (summary.n == 0) or (summary.interval is None) != (summary.n < 2):
+        yield f"{metric} has a value or an interval that {summary.n} episodes cannot give."
+        return
+    for value in (summary.value, *(summary.interval or ())):
+        try:
+            RANGES[metric].validate_python(value, strict=True)
+        except ValidationError:
+            yield f"{metric} is {value}, out of its range."
+            return
+    if summary.interval is not None and summary.value is not None:
+        low, value, high = summary.interval[0], summary.value, summary.interval[1]
+        if not (low <= value or close(low, value)) or not (value <= high or close(value, high)):
+            yield f"{metric} {value} is not in its interval."
+
+
+def close(one: float, other: float) -> bool:
+    """Equal but for rounding."""
+    return abs(one - other) <= CLOSE * max(1.0, abs(one), abs(other))
+
+
+def _mean(summary: Summary | None) -> float | None:
+    """None unless it is the mean of every episode: only then do means add up as rows do."""
+    return None if summary is None or summary.n_nan else summary.value

@@ -1,0 +1,54 @@
+"""The manifest of a submission bundle: who hands in what, under which licence, file by file."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Mapping
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from xmarl_bench.entry import Entry, EpisodeRow, Record
+from xmarl_bench.field_types import Count, Sha256, Text
+
+BUNDLE_VERSION: Final = 1
+ROW_COLUMNS = tuple(name for name in EpisodeRow.model_fields if not name.endswith("budget"))
+
+
+class FileRecord(Record):
+    sha256: Sha256
+    bytes: Count
+
+
+class Manifest(Record):
+    """Every file of the bundle but the manifest itself. `leaderboard/manifest.schema.json` is this class."""
+
+    bundle_version: Literal[1] = BUNDLE_VERSION
+    submitter: Annotated[str, Field(min_length=1, max_length=200)]
+    contact: Text | None = None  # where to ask
+    harness_version: Text
+    files: Annotated[dict[str, FileRecord], Field(max_length=1000)]
+
+
+def file_records(files: Mapping[str, bytes]) -> dict[str, FileRecord]:
+    return {
+        name: FileRecord(sha256=hashlib.sha256(data).hexdigest(), bytes=len(data))
+        for name, data in sorted(files.items())
+    }
+
+
+def rows_csv(entry: Entry) -> bytes:
+    """An entry's episodes for spreadsheets: one line each, nothing where the entry has null.
+
+    Numbers are written so that they read back to the bit.
+    """
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["task", "n_agents", *ROW_COLUMNS])
+    for cell in entry.results:
+        for row in cell.episodes:
+            values = [getattr(row, name) for name in ROW_COLUMNS]
+            writer.writerow([cell.task, cell.n_agents, *("" if each is None else each for each in values)])
+    return text.getvalue().encode()

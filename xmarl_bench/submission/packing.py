@@ -1,0 +1,92 @@
+"""Packs a submission: entries, their policies, their rows, a licence and a manifest, as one zip or folder."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from xmarl_bench.entry import Entry, Verification, entry_id
+from xmarl_bench.errors import InputError
+from xmarl_bench.files import pretty_json, write_atomically
+from xmarl_bench.policy.untrusted import CARD, WEIGHTS, read_member
+from xmarl_bench.provenance import package_version
+from xmarl_bench.submission.archive import MANIFEST
+from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
+
+EPOCH = (1980, 1, 1, 0, 0, 0)  # the first time a zip can hold: the same files give the same bytes
+
+
+def as_submitted(entry: Entry, submitter: str, code: str | None) -> Entry:
+    """The entry with who hands it in and where the explainer's code is, which are part of its id."""
+    explainer = entry.explainer if code is None else entry.explainer.model_copy(update={"code": code})
+    changed = entry.model_copy(
+        update={"submitter": submitter, "explainer": explainer, "verification": Verification()}
+    )
+    return changed.model_copy(update={"entry_id": entry_id(changed)})
+
+
+def bundle_files(
+    entries: Sequence[Entry],
+    policies: Mapping[str, Path],
+    *,
+    submitter: str,
+    licence: bytes,
+    contact: str | None = None,
+) -> dict[str, bytes]:
+    """Every file of the bundle, by name. policies: the bundle of each policy that the entries name.
+
+    Raises InputError where two entries are of the same score, or a policy cannot be read.
+    """
+    files = {"LICENSE": licence}
+    for entry in entries:
+        name = f"entries/{entry.file_name}"
+        if name in files:
+            raise InputError(f"two of the entries are {entry.file_name}: give each score once.")
+        files[name] = pretty_json(entry.model_dump(mode="json"))
+        files[f"rows/{entry.file_name.removesuffix('.json')}.csv"] = rows_csv(entry)
+    for name, folder in policies.items():
+        for file in (CARD, WEIGHTS):
+            files[f"policies/{name}/{file}"] = read_member(folder, file)
+    manifest = Manifest(
+        submitter=submitter,
+        contact=contact,
+        harness_version=package_version("xmarl-bench") or "unknown",
+        files=file_records(files),
+    )
+    return {MANIFEST: pretty_json(manifest.model_dump(mode="json")), **files}
+
+
+def write_bundle(path: Path, files: Mapping[str, bytes]) -> None:
+    """A zip where `path` ends with .zip, else a folder; made beside it and renamed, so whole or not there.
+
+    Raises InputError where `path` exists.
+    """
+    if path.exists():
+        raise InputError(f"{path} exists: give another name, or remove it first.")
+    if path.suffix == ".zip":
+        write_atomically(path, _zipped(files))
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+    try:
+        for name, data in files.items():
+            write_atomically(folder / name, data)
+        folder.chmod(0o755)
+        folder.rename(path)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _zipped(files: Mapping[str, bytes]) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(files):
+            member = zipfile.ZipInfo(name, EPOCH)
+            member.compress_type, member.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            archive.writestr(member, files[name])
+    return buffer.getvalue()

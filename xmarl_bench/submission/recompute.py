@@ -1,0 +1,59 @@
+"""The first tier: every aggregate of an entry derived again from its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from xmarl_bench.entry import Entry, Metrics, Summary
+from xmarl_bench.submission.consistency import close
+from xmarl_bench.summary import metrics_of_cell
+
+
+class Difference(NamedTuple):
+    """A number of an entry beside what it was found to be."""
+
+    where: str
+    entry: float | None
+    found: float | None
+
+    @property
+    def size(self) -> float:
+        """Absolute difference; infinite where one of the two is null."""
+        if self.entry is None or self.found is None:
+            return 0.0 if self.entry is self.found else float("inf")
+        return abs(self.entry - self.found)
+
+
+def recomputed(entry: Entry) -> Iterator[Difference]:
+    """Every aggregate of the entry beside that of its rows."""
+    for k, cell in enumerate(entry.results):
+        metrics = metrics_of_cell(cell, entry.explainer.seed)
+        for name in Metrics.model_fields:
+            yield from summaries(
+                f"results.{k}.metrics.{name}", getattr(cell.metrics, name), getattr(metrics, name)
+            )
+
+
+def recompute_findings(entry: Entry) -> Iterator[str]:
+    """Sentences, none where the aggregates follow from the rows but for rounding."""
+    for where, stated, found in recomputed(entry):
+        same = stated is found or (stated is not None and found is not None and close(stated, found))
+        if not same:
+            yield f"{where} is {stated}, the rows give {found}."
+
+
+def summaries(where: str, entry: Summary | None, found: Summary | None) -> Iterator[Difference]:
+    """The numbers of two summaries, beside each other; NaN-free, so null is a value of its own."""
+    for part in ("value", "n", "n_nan"):
+        yield Difference(f"{where}.{part}", _part(entry, part), _part(found, part))
+    for part, end in (("low", 0), ("high", 1)):
+        ends = [
+            None if each is None or each.interval is None else each.interval[end] for each in (entry, found)
+        ]
+        yield Difference(f"{where}.{part}", *ends)
+
+
+def _part(summary: Summary | None, part: str) -> float | None:
+    value: float | None = None if summary is None else getattr(summary, part)
+    return value

@@ -20,14 +20,15 @@ from torch_geometric.explain import Explainer as PygExplainer
 from torch_geometric.explain import ExplainerAlgorithm, Explanation, ModelConfig, PGExplainer
 
 from xmarl_bench.effect import effect_direction
-from xmarl_bench.policy import Policy, complete_graph
+from xmarl_bench.policy import Policy
+from xmarl_bench.policy.graph import complete_graph, edge_index_of
 
 
 @dataclass(frozen=True)
 class PygExplain:
     """An `Explain` callable (see xmarl_bench.explainer) made of a PyG algorithm.
 
-    The complete graph has its edges in the order of our mask.
+    The graph is the policy's own, its edges in the order of our mask.
 
     algorithm: makes a fresh algorithm object.
     effect: explain the sum over agents of e_i (xmarl_bench.effect), the single number that CaptumExplainer
@@ -35,8 +36,8 @@ class PygExplain:
     per_agent: explain one agent at a time (PyG's `index`) and take row i from the explanation of agent i.
     to_unit: brings the attributions (N, N) of algorithms that return no mask into [0, 1].
 
-    A PGExplainer is trained on all timesteps and agents of the episode first, one object for the episode, and
-    explains agent by agent whatever the options say: PyG's does nothing else.
+    A PGExplainer is trained on all timesteps and agents of the episode first (`PygFit` takes other states),
+    one object for the episode, and explains agent by agent whatever the options say: PyG's does nothing else.
     """
 
     algorithm: Callable[[], ExplainerAlgorithm]
@@ -46,25 +47,24 @@ class PygExplain:
 
     def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
         """(S, N, D) -> (S, N, N)."""
-        n_steps, n_agents, _ = observations.shape
-        seeds = torch.randint(2**62, (n_steps,), generator=generator).tolist()
-        edge_index = complete_graph(n_agents)
+        seeds = torch.randint(2**62, (len(observations),), generator=generator).tolist()
         with class_settings_kept(), torch.random.fork_rng(devices=[]), torch.enable_grad():
             torch.manual_seed(seeds[0])
-            algorithm = self.algorithm()
-            if isinstance(algorithm, PGExplainer):
-                masks = _by_trained(algorithm, policy, observations, edge_index)
-            else:
-                masks = [
-                    self._explain(policy, graph.clone(), edge_index, seed)
-                    for graph, seed in zip(observations, seeds, strict=True)
-                ]
+            if isinstance(self.algorithm(), PGExplainer):
+                return PygFit(self.algorithm)(policy, observations, generator)(
+                    policy, observations, generator
+                )
+            masks = [
+                self._explain(policy, graph.clone(), seed)
+                for graph, seed in zip(observations, seeds, strict=True)
+            ]
         mask = torch.stack(masks).detach()
         return mask if self.to_unit is None else self.to_unit(mask)
 
-    def _explain(self, policy: Policy, x: Tensor, edge_index: Tensor, seed: int) -> Tensor:
+    def _explain(self, policy: Policy, x: Tensor, seed: int) -> Tensor:
         """(N, D) observations of one timestep -> (N, N)."""
         torch.manual_seed(seed)
+        edge_index = _edges(policy, x)
         if not self.per_agent:
             return self._explanation(policy, x, edge_index, None)
         return torch.stack([self._explanation(policy, x, edge_index, i)[i] for i in range(len(x))])
@@ -89,27 +89,88 @@ class _Effect(nn.Module):
         return (action * self.direction).sum().view(1)
 
 
-def _by_trained(
-    algorithm: PGExplainer, policy: Policy, observations: Tensor, edge_index: Tensor
-) -> list[Tensor]:
-    """(S, N, D) -> S times (N, N), by an algorithm that learns from all graphs before it explains one."""
-    model, agents = _private(policy), range(observations.shape[1])
-    explainer = _connect(model, algorithm, "node", "phenomenon")
-    with torch.no_grad():
-        graphs = [(x.clone(), model(x, edge_index)) for x in observations]
-    for epoch in range(algorithm.epochs):
-        for x, target in graphs:
-            for i in agents:
-                algorithm.train(epoch, model, x, edge_index, target=target, index=i)
-    return [
-        torch.stack([_matrix(explainer(x, edge_index, target=target, index=i))[i] for i in agents])
-        for x, target in graphs
-    ]
+@dataclass(frozen=True)
+class PygFit:
+    """A `Fit` (see xmarl_bench.explainer) made of a PGExplainer, the algorithm of PyG that learns first.
+
+    algorithm: makes a fresh PGExplainer. It is trained on every timestep and agent, `epochs` times.
+    """
+
+    algorithm: Callable[[], ExplainerAlgorithm]
+
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> TrainedPG:
+        """(S, N, D) -> what explains the policy, agent by agent."""
+        agents = range(observations.shape[1])
+        with class_settings_kept(), torch.random.fork_rng(devices=[]), torch.enable_grad():
+            torch.manual_seed(int(torch.randint(2**62, (), generator=generator)))
+            algorithm, model = self.algorithm(), _private(policy)
+            assert isinstance(algorithm, PGExplainer)
+            _connect(model, algorithm, "node", "phenomenon")
+            graphs = [(x.clone(), _edges(policy, x)) for x in observations]
+            targets = [model(x, edge_index).detach() for x, edge_index in graphs]
+            for epoch in range(algorithm.epochs):
+                for (x, edge_index), target in zip(graphs, targets, strict=True):
+                    for i in agents:
+                        algorithm.train(epoch, model, x, edge_index, target=target, index=i)
+        return TrainedPG(algorithm)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedPG:
+    """An `Explain` made of a PGExplainer that has been trained."""
+
+    algorithm: PGExplainer
+
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+        """(S, N, D) -> (S, N, N): row i is explained for agent i alone."""
+        agents = range(observations.shape[1])
+        model = _private(policy)
+        explainer = _connect(model, copy.deepcopy(self.algorithm), "node", "phenomenon")
+        masks = []
+        for x in observations:
+            edge_index = _edges(policy, x)
+            with torch.no_grad():
+                target = model(x, edge_index)
+            rows = [_matrix(explainer(x, edge_index, target=target, index=i))[i] for i in agents]
+            masks.append(torch.stack(rows))
+        return torch.stack(masks).detach()
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Makes fresh algorithms of one that somebody set up, with its settings of that moment."""
+
+    algorithm: ExplainerAlgorithm
+    coeffs: dict[str, Any]
+
+    @classmethod
+    def of(cls, algorithm: ExplainerAlgorithm) -> Copies:
+        return cls(algorithm, copy.deepcopy(getattr(algorithm, "coeffs", {})))
+
+    def __call__(self) -> ExplainerAlgorithm:
+        fresh = copy.deepcopy(self.algorithm)
+        if self.coeffs:
+            fresh.coeffs = copy.deepcopy(self.coeffs)  # its own, where PyG keeps them on the class
+        if isinstance(fresh, PGExplainer):
+            # Its weights were drawn when it was made, and its optimiser holds layers that were not copied.
+            fresh.reset_parameters()
+            fresh.optimizer = torch.optim.Adam(fresh.mlp.parameters(), lr=fresh.lr)
+        return fresh
+
+
+def _edges(policy: Policy, x: Tensor) -> Tensor:
+    """(N, D) -> (2, edges): the policy's graph in that state, in the order of our mask."""
+    adjacency = policy.adjacency(x[None])
+    return complete_graph(len(x)) if adjacency is None else edge_index_of(adjacency)
 
 
 def _matrix(explanation: Explanation) -> Tensor:
-    mask: Tensor = explanation.edge_mask.detach()
-    return mask.reshape(len(explanation.x), len(explanation.x)).clone()
+    """(N, N), 0 where there is no edge."""
+    sender, receiver = explanation.edge_index
+    x: Tensor = explanation.x
+    matrix = x.new_zeros(len(x), len(x))
+    matrix[receiver, sender] = explanation.edge_mask.detach()
+    return matrix
 
 
 def _private(policy: Policy, *, differentiable: bool = False) -> Policy:

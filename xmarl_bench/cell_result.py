@@ -65,20 +65,8 @@ def cell_result(request: Request, cell: Cell, done: Done) -> CellResult:
     reasons = not_measured(request, cell, torch.tensor(episodes[0].observations[:1]))
     n_played = request.behaviours(cell)
     rows = tuple(
-        EpisodeRow.model_validate(
-            {
-                "seed": episode.seed,
-                "length": len(episode.observations),
-                "timesteps": unit.timesteps,
-                **dict.fromkeys(SANITY),
-                **each.values,
-                **each.budgets,
-                **behaviour,
-                **unit.policy,
-                **_task_values(cell, episode),
-            }
-        )
-        for episode, unit, each, behaviour in zip(
+        episode_row(cell, *parts)
+        for parts in zip(
             episodes,
             measured,
             explained,
@@ -99,6 +87,25 @@ def cell_result(request: Request, cell: Cell, done: Done) -> CellResult:
         controls={**done.controls[shared], INVERTED: inverted},
         behaviour_episodes=n_played,
         episodes=rows,
+    )
+
+
+def episode_row(
+    cell: Cell, episode: Episode, measured: Measured, explained: Explained, behaviour: Values
+) -> EpisodeRow:
+    """What an entry keeps of one episode. behaviour: of `BehaviourRow`, null where it was not played so."""
+    return EpisodeRow.model_validate(
+        {
+            "seed": episode.seed,
+            "length": len(episode.observations),
+            "timesteps": measured.timesteps,
+            **dict.fromkeys(SANITY),
+            **explained.values,
+            **explained.budgets,
+            **behaviour,
+            **measured.policy,
+            **_task_values(cell, episode),
+        }
     )
 
 

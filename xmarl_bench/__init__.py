@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from xmarl_bench.evaluation import Performance, evaluate
     from xmarl_bench.explainer import Explainer
     from xmarl_bench.policy import Architecture, GraphPolicy, PolicyCard, load_policy, save_policy
+    from xmarl_bench.policy_module import PolicyModule
     from xmarl_bench.pyg import PygExplain
     from xmarl_bench.rollout import Episode, roll_out
     from xmarl_bench.scoring import score
@@ -28,6 +29,7 @@ _HOME = {
     "InputError": "errors",
     "Performance": "evaluation",
     "PolicyCard": "policy",
+    "PolicyModule": "policy_module",
     "PygExplain": "pyg",
     "build_board": "board",
     "evaluate": "evaluation",
@@ -40,9 +42,9 @@ _HOME = {
 }
 
 __all__ = [
-    "Architecture", "Entry", "Episode", "Explainer", "GraphPolicy", "InputError", "Performance", "PolicyCard",
-    "PygExplain", "build_board", "evaluate", "load_policy", "read_entry", "roll_out", "save_policy", "score",
-    "write_entry",
+    "Architecture", "Entry", "Episode", "Explainer", "GraphPolicy", "InputError", "Performance",
+    "PolicyCard", "PolicyModule", "PygExplain", "build_board", "evaluate", "load_policy", "read_entry",
+    "roll_out", "save_policy", "score", "write_entry",
 ]  # fmt: skip
 
 

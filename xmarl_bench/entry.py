@@ -31,7 +31,7 @@ from xmarl_bench.field_types import (
     Text,
 )  # fmt: skip
 from xmarl_bench.files import canonical_json, write_json
-from xmarl_bench.policy import Architecture
+from xmarl_bench.policy import AnyArchitecture
 from xmarl_bench.protocol import PROTOCOL
 from xmarl_bench.strict_json import parse_json, shown
 
@@ -47,7 +47,7 @@ class PolicyRecord(Record):
     task: Name
     n_agents: Agents  # the team size it was trained for
     weights_sha256: Sha256
-    architecture: Architecture
+    architecture: AnyArchitecture
     attention_entropy: float
     training_seed: int | None
     code: Text | None = None  # where its training code is
@@ -156,15 +156,15 @@ class ExplanationMetrics(Record):
     fid_plus: Summary
     fid_minus: Summary
     fid_delta: Summary
-    gef: Summary
-    median_kl: Summary
+    gef: Summary | None
+    median_kl: Summary | None
     mask_mass: Summary
     topk_fid_delta: Summary | None
     budgeted_fidelity: Summary | None
     comm_fid_plus: Summary
     comm_fid_minus: Summary
     comm_fid_delta: Summary
-    comm_gef: Summary
+    comm_gef: Summary | None
     comm_topk_fid_delta: Summary | None
     comm_budgeted_fidelity: Summary | None
     renorm_topk_fid_delta: Summary | None

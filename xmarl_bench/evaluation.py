@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from xmarl_envs import TASKS
 
+from xmarl_bench.errors import InputError
 from xmarl_bench.fan_out import check_parallel
 from xmarl_bench.metrics import attention_entropy
 from xmarl_bench.policy import Policy
@@ -30,7 +31,8 @@ class Performance:
     max_cycles: int
     with_messages: dict[str, float | None]
     without_messages: dict[str, float | None]  # F(identity): every agent hears itself only
-    attention_entropy: float  # nats, over the episodes with messages; log N is attention to all alike
+    # nats, over the episodes with messages; log N is attention to all alike, None that nothing attends
+    attention_entropy: float | None
 
     def record(self) -> dict[str, Any]:
         """As a policy card holds it, under `performance`."""
@@ -85,9 +87,12 @@ def evaluate(
     return performances
 
 
-def _attention_entropy(policy: Policy, episodes: Sequence[Episode]) -> float:
+def _attention_entropy(policy: Policy, episodes: Sequence[Episode]) -> float | None:
     """Mean over timesteps within an episode, then over episodes."""
     policy = copy.deepcopy(policy)
     with one_thread(), torch.inference_mode():
-        attention = [policy.attention(torch.tensor(episode.observations)) for episode in episodes]
+        try:
+            attention = [policy.attention(torch.tensor(episode.observations)) for episode in episodes]
+        except InputError:
+            return None
     return float(np.mean([attention_entropy(alpha.numpy()).mean() for alpha in attention]))

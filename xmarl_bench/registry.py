@@ -2,14 +2,15 @@
 
 Explainers: entry points in group `xmarl_bench.explainers`, name -> an `Explainer` of the same name.
 Policies: entry points in group `xmarl_bench.policies`, each -> a function without arguments that returns
-{policy name: folder of its bundle}. A plugin that fails to load raises, with its name.
+{policy name: folder of its bundle, or a function without arguments that returns a `PolicyModule`}. A plugin
+that fails to load raises, with its name.
 """
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -17,10 +18,13 @@ from typing import Any
 
 from xmarl_envs import TASKS
 
+from xmarl_bench.code_origin import Origin, is_reference, load_reference
 from xmarl_bench.controls import CONTROLS
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
-from xmarl_bench.policy.bundle import CARD
+from xmarl_bench.policy import Policy, PolicyCard, load_policy
+from xmarl_bench.policy.untrusted import CARD
+from xmarl_bench.policy_module import PolicyModule
 from xmarl_bench.provenance import package_version
 
 EXPLAINERS, POLICIES = "xmarl_bench.explainers", "xmarl_bench.policies"
@@ -35,6 +39,30 @@ class FoundExplainer:
     distribution: str | None
     version: str | None
     entry_point: str
+
+
+@dataclass(frozen=True)
+class PolicyCode:
+    """A policy that an installed package makes by running its code."""
+
+    plugin: EntryPoint
+    factory: Callable[[], object]
+
+    def __str__(self) -> str:
+        return self.plugin.value
+
+    def open(self, name: str) -> tuple[Policy, PolicyCard]:
+        """Run the factory. Raises InputError where it gives no policy of that name."""
+        made = _made(self.factory, name)
+        if made.name != name:
+            raise InputError(
+                f"policy plugin {name!r} ({self}) calls itself {made.name!r}: use one name for both."
+            )
+        code = self.factory
+        where = (
+            f"{code.__module__}:{code.__qualname__}" if hasattr(code, "__qualname__") else self.plugin.value
+        )
+        return made.open(Origin(*_distribution(self.plugin), where, None))
 
 
 def as_found(explainer: Explainer) -> FoundExplainer:
@@ -82,32 +110,104 @@ def find_explainer(name: str) -> FoundExplainer:
 
 
 def find_policies() -> dict[str, Path]:
-    """Every registered policy: name -> folder of its bundle, by name."""
-    found: dict[str, Path] = {}
+    """Every registered policy that is a bundle: name -> its folder, by name."""
+    return {name: place for name, place in _policy_plugins().items() if isinstance(place, Path)}
+
+
+def find_code_policies() -> dict[str, PolicyCode]:
+    """Every registered policy that brings code of its own, by name; none of it has run yet."""
+    return {name: place for name, place in _policy_plugins().items() if isinstance(place, PolicyCode)}
+
+
+def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyCard]:
+    """A policy by its name, by the folder or zip of its bundle, or by `module:factory` of its code.
+
+    Raises InputError for whatever is not one, and for code without `trust_code`.
+    """
+    if _is_bundle(name):
+        return load_policy(Path(name))
+    if is_reference(name):
+        _check_trust(name, trust_code)
+        factory, origin = load_reference(name)
+        return _made(factory, name).open(origin)
+    place = _registered_policy(name)
+    if isinstance(place, Path):
+        return load_policy(place)
+    _check_trust(name, trust_code)
+    return place.open(name)
+
+
+def find_policy(name_or_bundle: str) -> Path:
+    """The bundle's folder or zip. Raises InputError for an unknown name and for a policy that is code."""
+    if _is_bundle(name_or_bundle):
+        return Path(name_or_bundle)
+    place = _registered_policy(name_or_bundle)
+    if isinstance(place, PolicyCode):
+        raise InputError(f"policy {name_or_bundle!r} is code ({place}) and has no bundle: choose another.")
+    return place
+
+
+def _is_bundle(name: str) -> bool:
+    """What holds a card is a bundle, and so is what looks like a path and names no code."""
+    path = Path(name)
+    looks_like_one = len(path.parts) > 1 or path.suffix == ".zip"
+    return (path / CARD).is_file() or (looks_like_one and not is_reference(name))
+
+
+def _registered_policy(name: str) -> Path | PolicyCode:
+    policies = _policy_plugins()
+    if name not in policies:
+        raise unknown("policy", name, policies, "or give the folder of a policy bundle")
+    return policies[name]
+
+
+def _policy_plugins() -> dict[str, Path | PolicyCode]:
+    found: dict[str, Path | PolicyCode] = {}
     for plugin in entry_points(group=POLICIES):
         listed = _load(plugin)
         try:
-            folders = {str(name): Path(folder) for name, folder in listed().items()}
+            places = {
+                str(name): PolicyCode(plugin, place) if callable(place) else Path(place)
+                for name, place in listed().items()
+            }
         except Exception as error:
             raise _plugin_error(plugin, error) from error
-        for name, folder in folders.items():
+        for name, place in places.items():
             if name in found:
                 raise InputError(
-                    f"policy {name!r} is registered twice ({found[name]} and {folder}): rename one."
+                    f"policy {name!r} is registered twice ({found[name]} and {place}): rename one."
                 )
-            found[name] = folder
+            found[name] = place
     return dict(sorted(found.items()))
 
 
-def find_policy(name_or_folder: str) -> Path:
-    """The bundle's folder. What holds a bundle or has a path separator is a folder, anything else a name."""
-    folder = Path(name_or_folder)
-    if (folder / CARD).is_file() or len(folder.parts) > 1:
-        return folder
-    policies = find_policies()
-    if name_or_folder not in policies:
-        raise unknown("policy", name_or_folder, policies, "or give the folder of a policy bundle")
-    return policies[name_or_folder]
+def _check_trust(name: str, trust_code: bool) -> None:
+    if not trust_code:
+        raise InputError(
+            f"policy {name!r} runs code of its own: read it, and add --trust-code (trust_code=True) if you "
+            f"trust it."
+        )
+
+
+def _made(factory: object, name: str) -> PolicyModule:
+    """What the factory returns. Raises InputError for an error inside it and for anything else."""
+    if not callable(factory):
+        raise InputError(
+            f"policy {name!r} is a {type(factory).__name__}: name a function that returns a PolicyModule."
+        )
+    try:
+        made = factory()
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"policy {name!r} could not be made ({type(error).__name__}: {error}): correct its factory."
+        ) from error
+    if not isinstance(made, PolicyModule):
+        raise InputError(
+            f"policy {name!r} is a {type(made).__name__}: let its factory return a PolicyModule."
+        )
+    return made
 
 
 def check_task(name: str) -> None:

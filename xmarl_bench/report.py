@@ -16,10 +16,11 @@ from xmarl_bench.evaluation import Performance
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.bundle import load_card
-from xmarl_bench.registry import explainer_names, find_explainer, find_policies
+from xmarl_bench.registry import explainer_names, find_code_policies, find_explainer, find_policies
 
 Row = dict[str, Any]
 # Heading -> metric; "" is the interval of the metric that rows are ordered by.
+_POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_seed", "success", "code")
 SCORE_COLUMNS = {
     "comm. budgeted": "comm_budgeted_fidelity",
     "95 %": "",
@@ -47,7 +48,10 @@ def tasks() -> list[Row]:
 
 
 def policies() -> list[Row]:
-    """`success` is the success rate its card records, None where it records none."""
+    """`success` is the success rate its card records, None where it records none.
+
+    `code` is the entry point of a policy that brings its own. It is not run to be listed: the rest is None.
+    """
     rows = []
     for name, folder in find_policies().items():
         card = load_card(folder)
@@ -60,9 +64,12 @@ def policies() -> list[Row]:
                 "attention_entropy": card.attention_entropy,
                 "training_seed": card.training_seed,
                 "success": measured.get("success_rate") if isinstance(measured, dict) else None,
+                "code": None,
             }
         )
-    return rows
+    for name, code in find_code_policies().items():
+        rows.append({**dict.fromkeys(_POLICY_COLUMNS), "name": name, "code": str(code)})
+    return sorted(rows, key=lambda row: str(row["name"]))
 
 
 def explainers() -> list[Row]:
@@ -103,7 +110,9 @@ def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Perform
                 "no wall contact": both("no_object_collision", 2),
                 "makespan": both("makespan", 0),
                 "reward": both("reward", 2),
-                "attention entropy": f"{each.attention_entropy:.2f}",
+                "attention entropy": "-"
+                if each.attention_entropy is None
+                else f"{each.attention_entropy:.2f}",
             }
         )
     return rows
@@ -133,8 +142,9 @@ def markdown(rows: Sequence[Row]) -> str:
 def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
     """A table per protocol and cell, as on the board, and a word on what was given fewer states."""
     console = _console()
-    for table in board_of([(entry.file_name, entry) for entry in entries])["tables"]:
-        protocol = table["protocol"]
+    board = board_of([(entry.file_name, entry) for entry in entries])
+    for table in board["tables"]:
+        protocol = board["protocols"][table["protocol"]]
         steps = (
             "every timestep"
             if protocol["timesteps"] is None

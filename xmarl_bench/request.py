@@ -8,7 +8,7 @@ from xmarl_envs import TASKS, Task, make_task
 
 from xmarl_bench.behaviour import why_no_behaviour
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy import GraphPolicy, PolicyCard
+from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.registry import FoundExplainer, check_task
 from xmarl_bench.reproducible import episode_seeds
 
@@ -59,7 +59,7 @@ class Sampling:
 class Request:
     """One entry to be made. Raises InputError where the policy does not fit a cell."""
 
-    policy: GraphPolicy
+    policy: Policy
     card: PolicyCard
     explainer: FoundExplainer
     cells: tuple[Cell, ...]
@@ -98,6 +98,7 @@ def check_fit(card: PolicyCard, cell: Cell) -> None:
             f"policy {card.name!r} has {card.architecture.action_dim} action entries, {cell.task} takes 2: "
             f"choose a policy trained for {cell.task}."
         )
+    card.architecture.graph.check(cell.n_agents, task.obs_dim)
     if card.task != cell.task:
         raise InputError(
             f"policy {card.name!r} was trained for {card.task}, not for {cell.task}: "

@@ -11,19 +11,21 @@ from itertools import islice
 from pathlib import Path
 
 from xmarl_bench.cell_result import Done, cell_result, cost_of
+from xmarl_bench.code_origin import origin_of
 from xmarl_bench.entry import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.fan_out import check_parallel, fan_out
-from xmarl_bench.policy import GraphPolicy, PolicyCard, load_policy
+from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
+from xmarl_bench.policy_module import PolicyModule
 from xmarl_bench.protocol import DEFINITIONS
 from xmarl_bench.provenance import now, provenance
-from xmarl_bench.registry import as_found, find_explainer, find_policy
+from xmarl_bench.registry import as_found, find_explainer, open_policy
 from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.work import check_explainers, needs, pieces, roll_out_worlds, run, wanted
 
 
 def score(
-    policy: str | Path | tuple[GraphPolicy, PolicyCard],
+    policy: str | Path | PolicyModule | tuple[Policy, PolicyCard],
     explainer: str | Explainer,
     *,
     task: str | None = None,
@@ -37,11 +39,13 @@ def score(
     parallel_episodes: int = 50,
     progress: bool = False,
     submitter: str | None = None,
+    trust_code: bool = False,
 ) -> Entry:
     """Score one explainer on one policy in one cell.
 
     Args:
-        policy: a registered name, the folder of a bundle, or what `load_policy` returns.
+        policy: a registered name, the folder or zip of a bundle, `module:factory`, what `load_policy` returns,
+            or a network of your own as a `PolicyModule`.
         explainer: a registered name or an `Explainer`.
         task, n_agents: what the policy was trained for by default.
         episodes, timesteps, max_cycles, seed: which states, see `Sampling`.
@@ -49,10 +53,16 @@ def score(
             explainer at every step; all by default, none for explainers that declare themselves slow.
         jobs: processes.
         parallel_episodes: episodes stepped side by side in a process.
+        trust_code: run the code that a policy brings, where `policy` names such a one.
 
     Raises InputError for anything wrong with these.
     """
-    network, card = load_policy(find_policy(str(policy))) if isinstance(policy, str | Path) else policy
+    if isinstance(policy, str | Path):
+        network, card = open_policy(str(policy), trust_code=trust_code)
+    elif isinstance(policy, PolicyModule):
+        network, card = policy.open(origin_of(policy.network))
+    else:
+        network, card = policy
     found = find_explainer(explainer) if isinstance(explainer, str) else as_found(explainer)
     cell = Cell(card.task if task is None else task, card.n_agents if n_agents is None else n_agents)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
@@ -115,6 +125,7 @@ def _entry(request: Request, done: Done, started: str, jobs: int, submitter: str
             architecture=card.architecture,
             attention_entropy=card.attention_entropy,
             training_seed=card.training_seed,
+            trusted_code=isinstance(card.architecture, CodeArchitecture),
         ),
         explainer=ExplainerRecord(
             name=explainer.name,

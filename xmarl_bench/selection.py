@@ -8,7 +8,7 @@ from xmarl_envs import TASKS
 
 from xmarl_bench.controls import CONTROLS
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy import GraphPolicy, PolicyCard, load_policy
+from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.recording import TEAMS
 from xmarl_bench.registry import (
@@ -16,8 +16,9 @@ from xmarl_bench.registry import (
     check_task,
     explainer_names,
     find_explainer,
+    find_code_policies,
     find_policies,
-    find_policy,
+    open_policy,
     unknown,
 )
 from xmarl_bench.request import Cell, Request, Sampling, check_fit
@@ -26,12 +27,13 @@ ALL = "all"
 
 
 def select_policies(
-    names: Sequence[str], tasks: Sequence[str], agents: Sequence[str]
-) -> list[tuple[GraphPolicy, PolicyCard, tuple[Cell, ...]]]:
+    names: Sequence[str], tasks: Sequence[str], agents: Sequence[str], *, trust_code: bool = False
+) -> list[tuple[Policy, PolicyCard, tuple[Cell, ...]]]:
     """The policies to run, each with its cells.
 
-    `all` policies are those trained for one of the tasks and team sizes asked for. A policy asked for by
-    name or folder runs with every team size asked for, or with its own where that is `all`.
+    `all` policies are those trained for one of the tasks and team sizes asked for; those that bring code are
+    among them with `trust_code` only. A policy asked for by name, bundle or module:factory runs with every
+    team size asked for, or with its own where that is `all`.
     """
     sizes = _sizes(agents)
     for task in tasks:
@@ -39,13 +41,15 @@ def select_policies(
             check_task(task)
     wanted_tasks = list(TASKS) if ALL in tasks else list(tasks)
     if ALL in names:
-        cards = [(folder, load_card(folder)) for folder in find_policies().values()]
-        folders = [
-            folder
-            for folder, card in cards
+        cards = {name: load_card(folder) for name, folder in find_policies().items()}
+        if trust_code:
+            cards |= {name: open_policy(name, trust_code=True)[1] for name in find_code_policies()}
+        chosen = [
+            name
+            for name, card in cards.items()
             if card.task in wanted_tasks and (sizes is None or card.n_agents in sizes)
         ]
-        if not folders:
+        if not chosen:
             tasks_asked = "any task" if ALL in tasks else " or ".join(wanted_tasks)
             sizes_asked = "any number of" if sizes is None else " or ".join(map(str, sizes))
             raise InputError(
@@ -54,15 +58,15 @@ def select_policies(
             )
         sizes = None
     else:
-        folders = [find_policy(name) for name in dict.fromkeys(names)]
-    selected: list[tuple[GraphPolicy, PolicyCard, tuple[Cell, ...]]] = []
-    for folder in folders:
-        policy, card = load_policy(folder)
+        chosen = list(dict.fromkeys(names))
+    selected: list[tuple[Policy, PolicyCard, tuple[Cell, ...]]] = []
+    for name in chosen:
+        policy, card = open_policy(name, trust_code=trust_code)
         check_task(card.task)
         # One name stands for one policy in a run, for entries are filed by it.
         if any(card.name == other.name for _, other, _ in selected):
             raise InputError(
-                f"two policies are named {card.name!r} ({folder} is one): rename one, or leave it out."
+                f"two policies are named {card.name!r} ({name} is one): rename one, or leave it out."
             )
         cells = tuple(Cell(card.task, n) for n in (sizes or [card.n_agents]))
         if card.task not in wanted_tasks:
@@ -79,7 +83,9 @@ def select_explainers(names: Sequence[str]) -> list[FoundExplainer]:
     return [find_explainer(name) for name in (everything if ALL in names else dict.fromkeys(names))]
 
 
-def select_team(policy: str, task: str | None, agents: int | None) -> tuple[GraphPolicy | None, str, Cell]:
+def select_team(
+    policy: str, task: str | None, agents: int | None, *, trust_code: bool = False
+) -> tuple[Policy | None, str, Cell]:
     """A policy (None for the teams that need none), its name and its cell; `None`s are the policy's own.
 
     Raises InputError where nothing says which task, for unknown names and for cells that do not fit.
@@ -91,12 +97,12 @@ def select_team(policy: str, task: str | None, agents: int | None) -> tuple[Grap
             )
         return None, policy, Cell(task, 3 if agents is None else agents)
     sizes = [ALL if agents is None else str(agents)]
-    ((network, card, (cell,)),) = select_policies([policy], [task or ALL], sizes)
+    ((network, card, (cell,)),) = select_policies([policy], [task or ALL], sizes, trust_code=trust_code)
     return network, card.name, cell
 
 
 def plan(
-    policies: Sequence[tuple[GraphPolicy, PolicyCard, tuple[Cell, ...]]],
+    policies: Sequence[tuple[Policy, PolicyCard, tuple[Cell, ...]]],
     explainers: Sequence[FoundExplainer],
     sampling: Sampling,
     slow: Sampling | None = None,

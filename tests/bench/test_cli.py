@@ -127,7 +127,7 @@ def test_bad_options(
 
 
 def test_unknown_policy(run_cli: RunCli, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "find_policies", lambda: {"navigation-n3": tmp_path})
+    monkeypatch.setattr(registry, "_policy_plugins", lambda: {"navigation-n3": tmp_path})
     ran = run_cli("score", "--policy", "navigaton-n3", "--explainer", "attention", "--out", out)
     assert_refused(ran, out, "'navigaton-n3'", "Did you mean 'navigation-n3'?")
     ran = run_cli("score", "--policy", tmp_path / "nothing", "--explainer", "attention", "--out", out)
@@ -282,13 +282,11 @@ def test_list_tasks_and_explainers(run_cli: RunCli) -> None:
 
 
 def test_list_policies(run_cli: RunCli, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPatch) -> None:
-    from xmarl_bench import report
-
     folder = make_bundle("blind_discovery_v0", name="mine", seed=4)
     card = json.loads((folder / CARD).read_text())
     card["performance"] = {"with_messages": {"success_rate": 0.75}}
     (folder / CARD).write_text(json.dumps(card))
-    monkeypatch.setattr(report, "find_policies", lambda: {"mine": folder})
+    monkeypatch.setattr(registry, "_policy_plugins", lambda: {"mine": folder})
     assert json.loads(run_cli("list", "policies", "--json").out) == [
         {
             "name": "mine",
@@ -297,6 +295,7 @@ def test_list_policies(run_cli: RunCli, make_bundle: MakeBundle, monkeypatch: py
             "attention_entropy": 0.5,
             "training_seed": 4,
             "success": 0.75,
+            "code": None,
         }
     ]
     assert "0.75" in run_cli("list", "policies").out

@@ -16,6 +16,7 @@ from xmarl_bench.commands.options import (
     Policies,
     Seed,
     Tasks,
+    TrustCode,
 )
 
 
@@ -26,6 +27,7 @@ def evaluate(
     episodes: Episodes = 50,
     max_cycles: MaxCycles = None,
     seed: Seed = 0,
+    trust_code: TrustCode = False,
     jobs: Jobs = 1,
     parallel_episodes: Parallel = 50,
     as_json: AsJson = False,
@@ -37,7 +39,7 @@ def evaluate(
     from xmarl_bench.request import Sampling
     from xmarl_bench.selection import select_policies
 
-    selected = select_policies(policy, task, agents)
+    selected = select_policies(policy, task, agents, trust_code=trust_code)
     pairs = [(network, card, cell) for network, card, cells in selected for cell in cells]
     performances = run(
         [(network, cell) for network, _, cell in pairs],

@@ -12,7 +12,9 @@ Agents = Annotated[
 ]
 Policies = Annotated[
     list[str],
-    typer.Option("--policy", help="Policy name or folder of a policy bundle, or 'all'. Repeatable."),
+    typer.Option(
+        "--policy", help="Policy name, folder or zip of a bundle, module:factory, or 'all'. Repeatable."
+    ),
 ]
 Explainers = Annotated[list[str], typer.Option("--explainer", help="Explainer name, or 'all'. Repeatable.")]
 Episodes = Annotated[int, typer.Option(help="Episodes per policy.")]
@@ -20,4 +22,11 @@ MaxCycles = Annotated[int | None, typer.Option(help="Steps per episode; the task
 Seed = Annotated[int, typer.Option(help="Chooses the episodes, and seeds the explainers.")]
 Jobs = Annotated[int, typer.Option(help="Processes. Changes no result.")]
 Parallel = Annotated[int, typer.Option(help="Episodes stepped side by side in a process. Changes no result.")]
+TrustCode = Annotated[
+    bool,
+    typer.Option(
+        "--trust-code",
+        help="Take policies that bring code of their own (module:factory, or a package's), and run it.",
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from xmarl_bench.commands.options import MaxCycles
+from xmarl_bench.commands.options import MaxCycles, TrustCode
 
 
 def render(
@@ -20,6 +20,7 @@ def render(
     seed: Annotated[int, typer.Option(help="As of `score`, whose episodes these are.")] = 0,
     episode: Annotated[int, typer.Option(help="Which of the episodes that `score` plays, from 0.")] = 0,
     max_cycles: MaxCycles = None,
+    trust_code: TrustCode = False,
     out: Annotated[
         Path, typer.Option(help="File to write: .gif, .mp4, or .png, a sheet of six moments.")
     ] = Path("episode.gif"),
@@ -31,7 +32,7 @@ def render(
     from xmarl_bench.selection import select_team
 
     check_target(out)
-    network, name, cell = select_team(policy, task, agents)
+    network, name, cell = select_team(policy, task, agents, trust_code=trust_code)
     chosen = find_explainer(explainer).explainer if explainer is not None else None
     recording = record(cell.make(), name, network, seed=seed, episode=episode, max_cycles=max_cycles)
     written = write_animation(recording, out, chosen, progress=True)

@@ -18,6 +18,7 @@ from xmarl_bench.commands.options import (
     Policies,
     Seed,
     Tasks,
+    TrustCode,
 )
 
 
@@ -50,6 +51,7 @@ def score(
     ] = [],  # noqa: B006
     max_cycles: MaxCycles = None,
     seed: Seed = 0,
+    trust_code: TrustCode = False,
     jobs: Jobs = 1,
     parallel_episodes: Parallel = 50,
     submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
@@ -78,7 +80,7 @@ def score(
     )
     explainers = select_explainers(explainer)
     requests = plan(
-        select_policies(policy, task, agents),
+        select_policies(policy, task, agents, trust_code=trust_code),
         explainers,
         sampling,
         slow,

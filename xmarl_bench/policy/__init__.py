@@ -18,5 +18,6 @@ from xmarl_bench.policy.network import GraphPolicy, Prepared
 __all__ = [
     "ActionDistribution", "AnyArchitecture", "Architecture", "CodeArchitecture", "CompleteGraph",
     "FixedGraph", "Graph", "GraphLayer", "GraphPolicy", "LayeredArchitecture", "ModulePolicy", "Policy",
-    "PolicyCard", "Prepared", "RadiusGraph", "build_policy", "complete_graph", "load_policy", "save_policy",
+    "PolicyCard", "Prepared", "RadiusGraph", "build_policy", "complete_graph", "load_policy",
+    "save_policy",
 ]  # fmt: skip

@@ -85,16 +85,16 @@ def load_policy(bundle: Path) -> tuple[GraphPolicy | LayeredPolicy, PolicyCard]:
     expected = weight_shapes(card.architecture)
     data = read_member(bundle, WEIGHTS)
     check_weights(data, expected, where)
-    digest = hashlib.sha256(data).hexdigest()
-    if digest != card.weights_sha256:
-        raise InputError(
-            f"{where} has sha256 {digest[:12]}..., its card says {card.weights_sha256[:12]}...: "
-            f"the two files do not belong together."
-        )
     try:
         weights = load(data)
     except SafetensorError as error:
         raise InputError(f"{where} cannot be read as safetensors ({shown(error)}): save it again.") from None
     if not all(bool(torch.isfinite(tensor).all()) for tensor in weights.values()):
         raise InputError(f"{where} holds weights that are NaN or infinite: train or save it again.")
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != card.weights_sha256:
+        raise InputError(
+            f"{where} has sha256 {digest[:12]}..., its card says {card.weights_sha256[:12]}...: "
+            f"the two files do not belong together."
+        )
     return build_policy(card.architecture, weights), card

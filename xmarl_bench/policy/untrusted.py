@@ -121,7 +121,10 @@ def check_weights(data: bytes, expected: Mapping[str, tuple[int, ...]], where: s
             )
         position = end
     if position != len(data) - 8 - length:
-        raise InputError(f"{where} holds {len(data) - 8 - length} bytes of tensors, expected {position}.")
+        raise InputError(
+            f"{where} cannot be read as safetensors (it holds {len(data) - 8 - length} bytes of tensors and "
+            f"claims {position}): save it again."
+        )
 
 
 def _claimed_shape(name: str, claim: Any, where: str) -> tuple[int, ...]:

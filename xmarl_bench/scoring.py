@@ -19,7 +19,7 @@ from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy_module import PolicyModule
 from xmarl_bench.protocol import DEFINITIONS
 from xmarl_bench.provenance import now, provenance
-from xmarl_bench.registry import as_found, find_explainer, open_policy
+from xmarl_bench.registry import FoundExplainer, as_found, find_explainer, open_policy
 from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.work import check_explainers, needs, pieces, roll_out_worlds, run, wanted
 
@@ -112,9 +112,7 @@ def score_requests(
 
 
 def _entry(request: Request, done: Done, started: str, jobs: int, submitter: str | None) -> Entry:
-    card, found, explainer, sampling = (
-        request.card, request.explainer, request.explainer.explainer, request.sampling,
-    )  # fmt: skip
+    card, found, sampling = request.card, request.explainer, request.sampling
     return make_entry(
         submitter=submitter,
         policy=PolicyRecord(
@@ -127,16 +125,7 @@ def _entry(request: Request, done: Done, started: str, jobs: int, submitter: str
             training_seed=card.training_seed,
             trusted_code=isinstance(card.architecture, CodeArchitecture),
         ),
-        explainer=ExplainerRecord(
-            name=explainer.name,
-            distribution=found.distribution,
-            version=found.version,
-            entry_point=found.entry_point,
-            hyperparameters=dict(explainer.hyperparameters),
-            stochastic=explainer.stochastic,
-            control=explainer.control,
-            seed=sampling.seed,
-        ),
+        explainer=explainer_record(found, sampling.seed),
         protocol=Protocol(
             episodes=sampling.episodes,
             seeds=tuple(sampling.seeds),
@@ -146,4 +135,24 @@ def _entry(request: Request, done: Done, started: str, jobs: int, submitter: str
         results=tuple(cell_result(request, cell, done) for cell in request.cells),
         cost=cost_of(request, done),
         provenance=provenance(started, jobs),
+    )
+
+
+def explainer_record(found: FoundExplainer, seed: int) -> ExplainerRecord:
+    """What an entry says of its explainer. seed: of the run."""
+    explainer = found.explainer
+    return ExplainerRecord(
+        name=explainer.name,
+        distribution=found.distribution,
+        version=found.version,
+        entry_point=found.entry_point,
+        hyperparameters=dict(explainer.hyperparameters),
+        stochastic=explainer.stochastic,
+        control=explainer.control,
+        seed=seed,
+        batched=explainer.batched,
+        binary=explainer.binary,
+        signed="signed_to_unit" if explainer.signed else None,
+        needs_fit=explainer.fit is not None,
+        accesses=explainer.accesses,
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any, cast
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -37,7 +38,8 @@ CLOSE = 1e-9  # relative to the larger of 1 and the number: sums are taken in an
 ALIKE = 1e-5  # actions of the same mask in another batch
 # The range of a mean is that of what it is taken of.
 RANGES: dict[str, TypeAdapter[float | None]] = {
-    name: TypeAdapter(EpisodeRow.model_fields[name].annotation) for name in ControlMetrics.model_fields
+    name: TypeAdapter(cast(Any, EpisodeRow.model_fields[name].annotation))
+    for name in ControlMetrics.model_fields
 }
 
 # (control, metric, what it equals): 0, 1, or a metric of the explainer. Each follows from the mask alone.

@@ -1,0 +1,106 @@
+"""What holds a stranger's code back: as much as this system can, and no more is promised.
+
+| | network | files | memory, CPU time, file size | left over processes |
+|---|---|---|---|---|
+| bubblewrap | none | read-only; homes, /tmp, /run hidden | limited | ended with it |
+| unshare | none | those of the user, written too | limited | ended with its session |
+| rlimits | open | those of the user, written too | limited | ended with its session |
+
+None of them keeps a program from reading what is readable to everyone, from using a hole in the kernel or,
+without bubblewrap, from escaping its session. Read a stranger's code before you run it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+from xmarl_bench.errors import InputError
+
+Wall = Literal["bubblewrap", "unshare", "rlimits"]
+HIDDEN = ("/tmp", "/var/tmp", "/home", "/root", "/run", "/media", "/mnt", "/srv")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of one explainer, over all that it is asked."""
+
+    cpu_seconds: int = 3600
+    memory_bytes: int = 8 * 2**30  # of address space: torch alone takes about one
+    file_bytes: int = 64 * 2**20
+    answer_seconds: float = 900.0  # wall clock, for one episode
+
+    def __post_init__(self) -> None:
+        for name in ("cpu_seconds", "memory_bytes", "file_bytes", "answer_seconds"):
+            if getattr(self, name) <= 0:
+                raise InputError(f"{name} must be more than 0, got {getattr(self, name)}.")
+
+    def apply(self) -> None:
+        """Bind the process that calls this, and its children. Called before strange code is imported."""
+        import resource  # Unix has it
+
+        for kind, most in (
+            (resource.RLIMIT_CPU, self.cpu_seconds),
+            (resource.RLIMIT_AS, self.memory_bytes),
+            (resource.RLIMIT_FSIZE, self.file_bytes),
+            (resource.RLIMIT_CORE, 0),
+        ):
+            hard = resource.getrlimit(kind)[1]
+            least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+            resource.setrlimit(kind, (least, least))
+
+
+@cache
+def strongest() -> Wall:
+    """The strongest wall that works here: a container often forbids what is installed in it."""
+    trials: tuple[tuple[Wall, list[str]], ...] = (("bubblewrap", walled("bubblewrap", ["true"], ())),
+                                                  ("unshare", walled("unshare", ["true"], ())))  # fmt: skip
+    for wall, command in trials:
+        if shutil.which(command[0]) is None:
+            continue
+        try:
+            if subprocess.run(command, capture_output=True, timeout=20).returncode == 0:
+                return wall
+        except (OSError, subprocess.TimeoutExpired):
+            continue
+    return "rlimits"
+
+
+def walled(wall: Wall, command: Sequence[str], readable: Sequence[Path]) -> list[str]:
+    """The command behind the wall. readable: what it needs of the folders that are hidden."""
+    if wall == "bubblewrap":
+        hidden = [option for folder in HIDDEN if Path(folder).is_dir() for option in ("--tmpfs", folder)]
+        # A folder in a hidden one comes back; one that holds another is bound first.
+        shown = [
+            option
+            for path in sorted({each.resolve() for each in readable}, key=lambda path: len(path.parts))
+            if path.exists()
+            for option in ("--ro-bind", str(path), str(path))
+        ]
+        return [
+            "bwrap", "--unshare-all", "--die-with-parent", "--new-session", "--cap-drop", "ALL",
+            "--ro-bind", "/", "/", *hidden, "--dev", "/dev", "--proc", "/proc", *shown,
+            "--chdir", "/", "--", *command,
+        ]  # fmt: skip
+    if wall == "unshare":
+        return ["unshare", "--user", "--map-current-user", "--net", "--", *command]
+    return list(command)
+
+
+def python_folders() -> list[Path]:
+    """Where this interpreter and all that it imports lie."""
+    found = [Path(sys.prefix), Path(sys.base_prefix), Path(sys.executable).parent]
+    return found + [Path(entry).absolute() for entry in sys.path if entry and Path(entry).exists()]
+
+
+def environment() -> dict[str, str]:
+    """Nothing of the user's environment, where tokens are, but what Python needs to find its packages."""
+    kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH", "LANG") if name in os.environ}
+    return {**kept, "HOME": "/tmp", "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}

@@ -1,0 +1,182 @@
+"""A stranger's explainer, asked over a pipe: its code runs in a process of its own, behind a wall.
+
+The harness sends policy and observations, and gets masks back; it measures them itself, on its own policy.
+So code in there can make a bad mask but no good score: what it returns are numbers, never objects.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import select
+import signal
+import struct
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import Policy
+from xmarl_bench.strict_json import shown
+from xmarl_bench.submission.limits import Limits, Wall, environment, python_folders, strongest, walled
+
+MAX_HEADER, MAX_MASKS = 64 * 1024, 1 << 30
+WORKER = "xmarl_bench.submission.sandbox_worker"
+
+
+@dataclass
+class Sandbox:
+    """One explainer in a process behind `wall`; end it with `close`, or use it in a `with` statement.
+
+    explainer: a registered name, module:Name or path/to/file.py:Name.
+    """
+
+    explainer: str
+    limits: Limits = field(default_factory=Limits)
+    wall: Wall = field(default_factory=strongest)
+    process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> dict[str, Any]:
+        """What the explainer says of itself: the fields of `ExplainerRecord` and `fits`.
+
+        Raises InputError where it cannot be loaded.
+        """
+        command = [sys.executable, "-m", WORKER, self.explainer, json.dumps(vars(self.limits))]
+        readable = python_folders()
+        file = Path(self.explainer.rpartition(":")[0])
+        if file.suffix == ".py" and file.is_file():
+            readable.append(file.resolve())
+        self.process = subprocess.Popen(
+            walled(self.wall, command, readable),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment(),
+            start_new_session=True,
+        )
+        return self._receive()[0]
+
+    def explain(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+        """(S, N, D) -> (S, N, N), not checked yet: `run_explainer` does that, as with any other."""
+        return self._ask("explain", policy, observations, generator)
+
+    def fit(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Fitted:
+        """(S, N, D) states to be fitted on -> the explainer of this policy, as it stays in the process."""
+        key = str(self._ask("fit", policy, observations, generator, masks=False))
+        return Fitted(self, key)
+
+    def close(self) -> None:
+        """End the process, and whatever it started in its session."""
+        if self.process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+            for pipe in (self.process.stdin, self.process.stdout):
+                if pipe is not None:
+                    with contextlib.suppress(OSError):
+                        pipe.close()
+            self.process = None
+
+    def __enter__(self) -> Sandbox:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _ask(
+        self,
+        what: str,
+        policy: Policy,
+        observations: Tensor,
+        generator: torch.Generator,
+        *,
+        fitted: str | None = None,
+        masks: bool = True,
+    ) -> Any:
+        """Send one question and wait for its answer. The generator is told by its seed: it is a new one."""
+        question = (what, policy, observations.numpy(), generator.initial_seed(), fitted)
+        data = pickle.dumps(question)
+        try:
+            stdin = self._pipe("stdin")
+            stdin.write(struct.pack("<Q", len(data)) + data)
+            stdin.flush()
+        except OSError:
+            raise self._ended() from None
+        header, payload = self._receive()
+        if not masks:
+            return header.get("key")
+        shape = header.get("shape")
+        n_steps, n_agents, _ = observations.shape
+        if shape != [n_steps, n_agents, n_agents] or len(payload) != 4 * n_steps * n_agents**2:
+            raise InputError(f"explainer {shown(self.explainer)} answered with no mask: correct it.")
+        return torch.tensor(np.frombuffer(payload, dtype="<f4").reshape(shape))
+
+    def _receive(self) -> tuple[dict[str, Any], bytes]:
+        deadline = time.monotonic() + self.limits.answer_seconds
+        lengths = struct.unpack("<IQ", self._read(12, deadline))
+        if lengths[0] > MAX_HEADER or lengths[1] > MAX_MASKS:
+            raise InputError(f"explainer {shown(self.explainer)} answered with too much: correct it.")
+        try:
+            header = json.loads(self._read(lengths[0], deadline))
+        except (ValueError, RecursionError):
+            header = None
+        payload = self._read(lengths[1], deadline)
+        if not isinstance(header, dict):
+            raise InputError(f"explainer {shown(self.explainer)} answered with no JSON: correct it.")
+        if "error" in header:
+            raise InputError(shown(header["error"], 500).strip("'\""))
+        return header, payload
+
+    def _read(self, n_bytes: int, deadline: float) -> bytes:
+        """Exactly so many bytes, or an InputError: it ended, or it takes too long."""
+        out = self._pipe("stdout").fileno()
+        parts = bytearray()
+        while len(parts) < n_bytes:
+            left = deadline - time.monotonic()
+            if left <= 0 or not select.select([out], [], [], left)[0]:
+                self.close()
+                raise InputError(
+                    f"explainer {shown(self.explainer)} did not answer within "
+                    f"{self.limits.answer_seconds:g} s: give it more time, or leave it out."
+                )
+            part = os.read(out, min(n_bytes - len(parts), 1 << 20))
+            if not part:
+                raise self._ended()
+            parts += part
+        return bytes(parts)
+
+    def _pipe(self, name: str) -> IO[bytes]:
+        pipe: IO[bytes] | None = getattr(self.process, name, None)
+        if pipe is None:
+            raise self._ended()
+        return pipe
+
+    def _ended(self) -> InputError:
+        code = None if self.process is None else self.process.poll()
+        self.close()
+        return InputError(
+            f"the process of explainer {shown(self.explainer)} ended (exit code {code}), maybe at a limit of "
+            f"{self.limits.memory_bytes / 2**30:g} GiB or {self.limits.cpu_seconds} s: give it more, or leave "
+            f"it out."
+        )
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """An explainer that was fitted in the sandbox, by the key it has there."""
+
+    sandbox: Sandbox
+    key: str
+
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+        """(S, N, D) -> (S, N, N)."""
+        return self.sandbox._ask("explain", policy, observations, generator, fitted=self.key)  # type: ignore[no-any-return]

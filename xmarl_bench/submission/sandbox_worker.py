@@ -1,0 +1,92 @@
+"""The process of a stranger's explainer: `python -m xmarl_bench.submission.sandbox_worker NAME LIMITS`.
+
+Answers go to what was standard output; whatever the explainer prints goes nowhere.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import struct
+import sys
+from typing import IO, Any
+
+from xmarl_bench.submission.limits import Limits
+
+
+def main() -> None:
+    name, limits = sys.argv[1], Limits(**json.loads(sys.argv[2]))
+    answers = os.fdopen(os.dup(1), "wb")
+    questions = os.fdopen(os.dup(0), "rb")
+    with open(os.devnull, "r+b") as nowhere:
+        for descriptor in (0, 1):
+            os.dup2(nowhere.fileno(), descriptor)
+    limits.apply()
+    from xmarl_bench.errors import InputError
+
+    try:
+        worker = Worker(name)
+        _send(answers, worker.declared())
+        while True:
+            question = _receive(questions)
+            if question is None:
+                return
+            _send(answers, *worker.answer(*question))
+    except InputError as error:
+        _send(answers, {"error": str(error)})
+    except MemoryError:
+        _send(answers, {"error": f"explainer {name!r} ran out of memory: give it more, or leave it out."})
+
+
+class Worker:
+    """The explainer and what it was fitted to."""
+
+    def __init__(self, name: str) -> None:
+        from xmarl_bench.registry import find_explainer
+
+        self.found = find_explainer(name)  # from here on the code of strangers runs
+        self.fitted: dict[str, Any] = {}
+
+    def declared(self) -> dict[str, Any]:
+        """The fields of `ExplainerRecord` that are the explainer's own."""
+        from xmarl_bench.scoring import explainer_record
+
+        return explainer_record(self.found, 0).model_dump(mode="json")
+
+    def answer(
+        self, what: str, policy: Any, observations: Any, seed: int, fitted: str | None
+    ) -> tuple[dict[str, Any], bytes]:
+        """A mask (S, N, N) as float32 bytes, or the key of what was fitted."""
+        import torch
+
+        from xmarl_bench.explainer import fit_explainer, run_explainer
+        from xmarl_bench.reproducible import one_thread
+
+        x = torch.tensor(observations)
+        explainer = self.found.explainer if fitted is None else self.fitted[fitted]
+        with one_thread():
+            if what == "fit":
+                key = str(len(self.fitted))
+                self.fitted[key] = fit_explainer(explainer, policy, x, seed)
+                return {"key": key}, b""
+            mask = run_explainer(explainer, policy, x, seed).numpy()
+        return {"shape": list(mask.shape)}, mask.astype("<f4").tobytes()
+
+
+def _receive(pipe: IO[bytes]) -> Any:
+    """What the harness asks; None at the end. It is the harness that is trusted, so objects may come."""
+    length = pipe.read(8)
+    if len(length) < 8:
+        return None
+    return pickle.loads(pipe.read(struct.unpack("<Q", length)[0]))
+
+
+def _send(pipe: IO[bytes], header: dict[str, Any], payload: bytes = b"") -> None:
+    data = json.dumps(header).encode()
+    pipe.write(struct.pack("<IQ", len(data), len(payload)) + data + payload)
+    pipe.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -26,7 +26,7 @@ from xmarl_envs import make_task
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer, run_explainer
 from xmarl_bench.metrics import mask_of_senders, other_senders, top_k_rows
-from xmarl_bench.policy import Policy
+from xmarl_bench.policy import Policy, existing_edges
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout import Episode, play
 from xmarl_bench.states import Values, number
@@ -120,7 +120,8 @@ class _BlockAct:
         if block.explainer is not None:
             seed = derived_seed("behaviour", block.explainer.name, *parts)
             mask = run_explainer(block.explainer, self.policy, x, seed).double().numpy()
-        top = top_messages(mask, noise, kept_messages(block.n_agents))
+        edges = existing_edges(self.policy, x)
+        top = top_messages(mask, noise, kept_messages(block.n_agents), edges)
         own = torch.eye(block.n_agents)
         top[BLOCK:] = 1.0 - top[BLOCK:]
         with torch.inference_mode():
@@ -138,7 +139,13 @@ def _values(kept: Episode, dropped: Episode) -> Values:
     }
 
 
-def top_messages(mask: NDArray[np.floating], noise: NDArray[np.float64], k: int) -> Tensor:
-    """(S, N, N) mask, noise against ties -> (S, N, N) of zeros and ones: the k highest others of each row."""
-    rows = top_k_rows(other_senders(mask), other_senders(noise))[k - 1]
+def top_messages(
+    mask: NDArray[np.floating], noise: NDArray[np.float64], k: int, edges: NDArray[np.bool_] | None = None
+) -> Tensor:
+    """(S, N, N) mask, noise against ties -> (S, N, N) of zeros and ones: the k highest others of each row.
+
+    edges: (S, N, N), which ones the graph has; a receiver with fewer than k others keeps all of them.
+    """
+    others = None if edges is None else other_senders(edges)
+    rows = top_k_rows(other_senders(mask), other_senders(noise), others)[k - 1]
     return torch.from_numpy(mask_of_senders(rows, ~np.eye(mask.shape[-1], dtype=bool)))

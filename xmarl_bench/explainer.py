@@ -97,7 +97,8 @@ def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
             f"explainer {name!r} declares binary masks and returned other values than 0 and 1: round them, "
             f"or leave `binary` out."
         )
-    return checked
+    adjacency = policy.adjacency(observations)
+    return checked if adjacency is None else checked * adjacency  # edges that are not there matter to nobody
 
 
 def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Explainer:

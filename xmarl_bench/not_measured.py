@@ -22,6 +22,10 @@ def not_measured(request: Request, cell: Cell, observations: Tensor) -> dict[str
     if no_oracle is not None or not isinstance(request.policy, GraphPolicy):
         reason = no_oracle or "needs a policy with one layer of one head, whose coefficients are known"
         reasons |= dict.fromkeys(("renorm_topk_fid_delta", "renorm_budgeted_fidelity"), reason)
+    if request.card.architecture.distribution == "deterministic":
+        reasons |= dict.fromkeys(
+            ("gef", "median_kl", "comm_gef"), "the policy is deterministic: it has no distribution to compare"
+        )
     for prefix, least in (("", 2), ("comm_", 3), ("renorm_", 2)):
         if cell.n_agents < least:
             names = (f"{prefix}topk_fid_delta", f"{prefix}budgeted_fidelity")

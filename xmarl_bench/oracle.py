@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.metrics import prediction_change
-from xmarl_bench.policy import Policy
+from xmarl_bench.metrics import prediction_change, rows_within
+from xmarl_bench.policy import Policy, existing_edges
 
 MAX_AGENTS = 10
 # Network rows decoded at once: the best of 250 to 64000 on one core, for larger batches leave the cache.
@@ -102,17 +102,27 @@ def change_table(policy: Policy, observations: Tensor, *, renormalised: bool = F
     return change
 
 
-def best_rows(change: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(R, S, N) changes -> (S, N): the row of largest FidDelta of each receiver, the first among equals."""
-    return np.asarray((change[::-1] - change).argmax(axis=0))
+def best_rows(change: NDArray[np.float64], edges: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+    """(R, S, N) changes -> (S, N): the row of largest FidDelta of each receiver, the first among equals.
+
+    edges: (S, N, N), rows of existing senders only; None is the complete graph.
+    """
+    delta = change[::-1] - change
+    if edges is not None:
+        delta = np.where(rows_within(len(delta), edges), delta, -np.inf)
+    return np.asarray(delta.argmax(axis=0))
 
 
 def oracle_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N) of zeros and ones: the best binary mask for FidDelta."""
+    edges = existing_edges(policy, observations)
     with torch.no_grad():
         best = [
-            best_rows(prediction_change(actions[-1:].numpy(), actions.numpy()))
-            for _, actions in action_tables(policy, observations)
+            best_rows(
+                prediction_change(actions[-1:].numpy(), actions.numpy()),
+                None if edges is None else edges[steps],
+            )
+            for steps, actions in action_tables(policy, observations)
         ]
     return mask_of(np.concatenate(best), observations.shape[1])
 

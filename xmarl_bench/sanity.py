@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from xmarl_bench.explainer import Explainer, run_explainer
+from xmarl_bench.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.metrics import rank_correlation
-from xmarl_bench.policy import Policy
+from xmarl_bench.policy import Policy, existing_edges
 from xmarl_bench.reproducible import derived_seed
 
 SANITY_EPISODES, SANITY_TIMESTEPS = 5, 20  # the first of a run, evenly spaced in each
@@ -34,7 +34,8 @@ def seed_stability(
         run_explainer(explainer, policy, observations, derived_seed("stability", seed, k)).numpy()
         for k in range(1, SEEDS)
     ]
-    return float(np.mean([rank_correlation(one, other) for one, other in combinations(masks, 2)]))
+    edges = existing_edges(policy, observations)
+    return float(np.mean([rank_correlation(one, other, edges) for one, other in combinations(masks, 2)]))
 
 
 def weight_randomisation(
@@ -45,8 +46,11 @@ def weight_randomisation(
     Near 0 is right: what was learned has gone, so should the explanation. NaN where a mask ranks nothing.
     """
     shuffled = shuffled_weights(policy, derived_seed("shuffled weights", seed))
+    if explainer.fitted_on is not None:  # what it learned of the weights as they were has to go as well
+        refit = derived_seed("shuffled fit", seed)
+        explainer = fit_explainer(explainer, shuffled, explainer.fitted_on, refit)
     other = run_explainer(explainer, shuffled, observations, derived_seed("shuffled", seed))
-    return rank_correlation(mask.numpy(), other.numpy())
+    return rank_correlation(mask.numpy(), other.numpy(), existing_edges(policy, observations))
 
 
 def shuffled_weights(policy: Policy, seed: int) -> Policy:

@@ -36,10 +36,11 @@ from xmarl_bench.metrics import (
     top_k_rows,
 )
 from xmarl_bench.oracle import best_rows, change_table, mask_of, why_no_oracle
-from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy
+from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, existing_edges
 
 Floats = NDArray[np.float64]
 Values = dict[str, float | None]
+Edges = NDArray[np.bool_]
 Budgets = dict[str, dict[str, tuple[float | None, ...] | None]]
 
 
@@ -50,15 +51,16 @@ class Ranking:
     delta: Floats  # (2^M, S, N) FidDelta of every row
     random: Floats  # (M - 1,)
     oracle: Floats  # (M - 1,)
+    edges: Edges | None  # (S, N, M), which senders there are; None is all
 
     @classmethod
-    def of(cls, change: Floats) -> Ranking:
+    def of(cls, change: Floats, edges: Edges | None) -> Ranking:
         delta = fid_delta_table(change)
-        return cls(delta, random_at_k(delta), oracle_at_k(delta))
+        return cls(delta, random_at_k(delta, edges), oracle_at_k(delta, edges), edges)
 
     def score(self, senders: NDArray[np.floating], noise: Floats) -> Ranked:
         """(S, N, M) mask and noise -> what the mask's ranking scores."""
-        explained = fid_delta_at_k(self.delta, top_k_rows(senders, noise))
+        explained = fid_delta_at_k(self.delta, top_k_rows(senders, noise, self.edges))
         budgeted = budgeted_fidelity(explained, self.random, self.oracle)
         return Ranked(explained, self.random, self.oracle, budgeted)
 
@@ -94,6 +96,7 @@ class States:
 
     policy: Policy
     observations: Tensor  # (S, N, D)
+    edges: Edges | None  # (S, N, N), those of the policy's graph; None is the complete one
     prepared: Any
     full: ActionDistribution  # F(1)
     noise: Floats  # (S, N, N): decides between equal values of a mask, the same for all explainers
@@ -106,17 +109,21 @@ class States:
     @torch.no_grad()
     def of(cls, policy: Policy, observations: Tensor, rng: np.random.Generator) -> States:
         n_steps, n_agents, _ = observations.shape
+        edges = existing_edges(policy, observations)
+        others = None if edges is None else other_senders(edges)
         all_edges = communication = renormalised = oracle = None
         if why_no_oracle(policy, n_agents) is None:
             change = change_table(policy, observations)
-            all_edges, communication = Ranking.of(change), Ranking.of(others_table(change))
-            oracle = mask_of(best_rows(change), n_agents)
+            all_edges = Ranking.of(change, edges)
+            communication = Ranking.of(others_table(change), others)
+            oracle = mask_of(best_rows(change, edges), n_agents)
             if isinstance(policy, GraphPolicy):
-                renormalised = Ranking.of(change_table(policy, observations, renormalised=True))
+                renormalised = Ranking.of(change_table(policy, observations, renormalised=True), edges)
         prepared = policy.prepare(observations)
         return cls(
             policy=policy,
             observations=observations,
+            edges=edges,
             prepared=prepared,
             full=policy.decode(prepared),
             noise=rng.random((n_steps, n_agents, n_agents)),
@@ -181,7 +188,7 @@ class States:
             "fid_delta": fid.delta.mean(),
             "gef": graph_explanation_unfaithfulness(kl).mean(),
             "median_kl": np.median(kl),
-            "mask_mass": mask_mass(senders).mean(),
+            "mask_mass": mask_mass(senders, self.edges).mean(),
             "topk_fid_delta": all_edges.mean,
             "budgeted_fidelity": all_edges.budgeted,
             "comm_fid_plus": comm.plus.mean(),
@@ -204,7 +211,7 @@ class States:
         try:
             attention = self.policy.attention(self.observations).numpy()
             values["attention_entropy"] = attention_entropy(attention).mean()
-            values["attention_distance"] = attention_distance(attention).mean()
+            values["attention_distance"] = attention_distance(attention, self.edges).mean()
         except InputError:
             values["attention_entropy"] = values["attention_distance"] = math.nan
         return {name: number(value) for name, value in values.items()}
@@ -218,6 +225,8 @@ class States:
 
     def _kl(self, kept: ActionDistribution) -> Floats:
         full = self.full
+        if full.kind == "deterministic":
+            return np.full(full.loc.shape[:-1], math.nan)
         return kl_divergence(full.loc.numpy(), full.scale.numpy(), kept.loc.numpy(), kept.scale.numpy())
 
     def _rank(
@@ -229,9 +238,11 @@ class States:
         """
         if ranking is not None:
             return ranking.score(senders, noise)
+        ranked = ~always.bool().numpy()
+        edges = None if self.edges is None else self.edges[:, ranked].reshape(senders.shape)
         explained = []
-        for rows in top_k_rows(senders, noise):
-            top = torch.from_numpy(mask_of_senders(rows, ~always.bool().numpy()))
+        for rows in top_k_rows(senders, noise, edges):
+            top = torch.from_numpy(mask_of_senders(rows, ranked))
             mask = torch.maximum(top, always)
             other = torch.maximum(1.0 - mask, always)
             explained.append(self._fidelity(self._decode(mask), self._decode(other)).delta.mean())

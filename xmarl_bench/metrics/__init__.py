@@ -16,6 +16,7 @@ from xmarl_bench.metrics.budgeted_fidelity import (
     other_senders,
     others_table,
     random_at_k,
+    rows_within,
     top_k_rows,
 )
 from xmarl_bench.metrics.fidelity import Fidelity, fidelity, prediction_change
@@ -27,5 +28,5 @@ __all__ = [
     "Fidelity", "attention_distance", "attention_entropy", "budgeted_fidelity", "fid_delta_at_k",
     "fid_delta_table", "fidelity", "graph_explanation_unfaithfulness", "kl_divergence", "mask_mass",
     "mask_of_senders", "oracle_at_k", "other_senders", "others_table", "prediction_change", "random_at_k",
-    "rank_correlation", "top_k_rows",
+    "rank_correlation", "rows_within", "top_k_rows",
 ]  # fmt: skip

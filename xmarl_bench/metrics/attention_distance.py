@@ -19,6 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def attention_distance(attention: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(..., N, N) attention, rows sum to 1 -> (...) D(alpha)."""
-    return np.asarray(np.abs(2.0 * attention.astype(np.float64) - 1.0).sum(axis=(-2, -1)))
+def attention_distance(
+    attention: NDArray[np.floating], edges: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
+    """(..., N, N) attention, rows sum to 1 -> (...) D(alpha).
+
+    edges: (..., N, N), which ones the graph has, None for all: the others are in neither graph compared.
+    """
+    difference = np.abs(2.0 * attention.astype(np.float64) - 1.0)
+    return np.asarray((difference if edges is None else difference * edges).sum(axis=(-2, -1)))

@@ -12,19 +12,24 @@ under 1e-3 action units has nothing to rank and is left out; where no k is left 
 FidDelta of a row follows from a table of changes (R, S, N), R = 2^M: entry [r, s, i] is how much agent i's
 action at timestep s changes when the senders in the bits of r are kept and no others (xmarl_bench.oracle).
 
+Where the policy's graph lacks edges (`edges`, (S, N, M), False), absent senders are never among the k: a
+receiver with P < k senders keeps all P, and subsets are those of its own senders.
+
 Communication-only: the agent's own edge is kept in subgraph and complement alike, so the senders are the
 M = N - 1 others, and k = 1 .. N - 2. It is the same computation on `others_table` and `other_senders`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Real = TypeVar("Real", bound=np.floating)
+Edges = NDArray[np.bool_]  # (S, N, M); None stands for the complete graph
+Item = TypeVar("Item", bound=np.generic)
 SMALLEST = 1e-3  # action units; under this a denominator is noise
 
 
@@ -33,12 +38,15 @@ def fid_delta_table(change: Floats) -> Floats:
     return np.asarray(change[::-1] - change)
 
 
-def top_k_rows(mask: NDArray[np.floating], noise: Floats) -> NDArray[np.int64]:
+def top_k_rows(mask: NDArray[np.floating], noise: Floats, edges: Edges | None = None) -> NDArray[np.int64]:
     """(S, N, M) -> (M - 1, S, N): the row of the k highest senders, k = 1 .. M - 1.
 
-    noise: (S, N, M), independent and uniform; decides between equal values of the mask.
+    noise: (S, N, M), independent and uniform; decides between equal values of the mask. A row of more than
+    all P senders of a receiver has bits of absent ones too, which change nothing.
     """
-    order = np.lexsort((noise, -mask.astype(np.float64)), axis=-1)  # the last key is the first to count
+    value = mask.astype(np.float64)
+    value = value if edges is None else np.where(edges, value, -np.inf)
+    order = np.lexsort((noise, -value), axis=-1)  # the last key is the first to count
     return np.moveaxis(np.cumsum(1 << order, axis=-1)[..., :-1], -1, 0)
 
 
@@ -58,14 +66,23 @@ def fid_delta_at_k(delta: Floats, rows: NDArray[np.int64]) -> Floats:
     return np.asarray(np.take_along_axis(delta, rows, axis=0).mean(axis=(1, 2)))
 
 
-def random_at_k(delta: Floats) -> Floats:
+def random_at_k(delta: Floats, edges: Edges | None = None) -> Floats:
     """(R, S, N) -> (M - 1,): the mean over all k-subsets, what a random ranking gets in expectation."""
-    return np.array([delta[subsets].mean() for subsets in _subsets(len(delta))])
+    if edges is None:
+        return np.array([delta[subsets].mean() for subsets in _subsets(len(delta))])
+    return np.array([delta.mean(axis=0, where=subsets).mean() for subsets in _own_subsets(len(delta), edges)])
 
 
-def oracle_at_k(delta: Floats) -> Floats:
+def oracle_at_k(delta: Floats, edges: Edges | None = None) -> Floats:
     """(R, S, N) -> (M - 1,): the best k-subset of every receiver at every timestep."""
-    return np.array([delta[subsets].max(axis=0).mean() for subsets in _subsets(len(delta))])
+    if edges is None:
+        return np.array([delta[subsets].max(axis=0).mean() for subsets in _subsets(len(delta))])
+    return np.array(
+        [
+            delta.max(axis=0, where=subsets, initial=-np.inf).mean()
+            for subsets in _own_subsets(len(delta), edges)
+        ]
+    )
 
 
 def budgeted_fidelity(explained: Floats, random: Floats, oracle: Floats) -> float:
@@ -88,11 +105,28 @@ def others_table(change: Floats) -> Floats:
     return reduced
 
 
-def other_senders(mask: NDArray[Real]) -> NDArray[Real]:
+def other_senders(mask: NDArray[Item]) -> NDArray[Item]:
     """(S, N, N) -> (S, N, N - 1): the mask without its diagonal, others by rising number."""
     n_agents = mask.shape[-1]
     off_diagonal = ~np.eye(n_agents, dtype=bool)
     return mask[:, off_diagonal].reshape(len(mask), n_agents, n_agents - 1)
+
+
+def rows_within(n_rows: int, edges: Edges) -> NDArray[np.bool_]:
+    """(S, N, M) -> (R, S, N): which rows keep existing senders only."""
+    return np.asarray((np.arange(n_rows)[:, None, None] & ~_bits(edges)) == 0)
+
+
+def _own_subsets(n_rows: int, edges: Edges) -> Iterator[NDArray[np.bool_]]:
+    """For k = 1 .. M - 1, (R, S, N): which rows keep min(k, P) of a receiver's own P senders."""
+    within, size = rows_within(n_rows, edges), np.bitwise_count(np.arange(n_rows))[:, None, None]
+    for k in range(1, edges.shape[-1]):
+        yield within & (size == np.minimum(k, edges.sum(axis=-1)))
+
+
+def _bits(edges: Edges) -> NDArray[np.int64]:
+    """(S, N, M) -> (S, N): the row of all senders there are."""
+    return np.asarray((edges.astype(np.int64) << np.arange(edges.shape[-1])).sum(axis=-1))
 
 
 def _subsets(n_rows: int) -> list[NDArray[np.bool_]]:

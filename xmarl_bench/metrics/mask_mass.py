@@ -9,6 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def mask_mass(mask: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(..., N, N) -> (...): the mean of the mask over all edges, the agents' own among them."""
-    return np.asarray(mask.astype(np.float64).mean(axis=(-2, -1)))
+def mask_mass(mask: NDArray[np.floating], edges: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+    """(..., N, N) -> (...): the mean of the mask over all edges, the agents' own among them.
+
+    edges: (..., N, N), which ones the graph has; None is all.
+    """
+    kept = mask.astype(np.float64)
+    return np.asarray(kept.mean(axis=(-2, -1)) if edges is None else kept.mean(axis=(-2, -1), where=edges))

@@ -15,10 +15,23 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 
-def rank_correlation(one: NDArray[np.floating], other: NDArray[np.floating]) -> float:
-    """Two arrays (..., N) of rows to [-1, 1]; NaN where either ranks nothing in any row, or holds NaN."""
+def rank_correlation(
+    one: NDArray[np.floating], other: NDArray[np.floating], edges: NDArray[np.bool_] | None = None
+) -> float:
+    """Two arrays (..., N) of rows to [-1, 1]; NaN where either ranks nothing in any row, or holds NaN.
+
+    edges: (..., N), which senders there are, None for all: the others have no rank.
+    """
     if np.isnan(one).any() or np.isnan(other).any():
         return float("nan")
-    a, b = (rankdata(x, axis=-1) - (x.shape[-1] + 1) / 2 for x in (one, other))
+    a, b = (_centred_ranks(x, edges) for x in (one, other))
     scale = np.sqrt((a * a).sum() * (b * b).sum())
     return float((a * b).sum() / scale) if scale > 0 else float("nan")
+
+
+def _centred_ranks(x: NDArray[np.floating], edges: NDArray[np.bool_] | None) -> NDArray[np.float64]:
+    """(..., N): rank less the mean rank of the row, 0 for senders that are not there."""
+    if edges is None:
+        return np.asarray(rankdata(x, axis=-1) - (x.shape[-1] + 1) / 2)
+    ranks = rankdata(np.where(edges, x, np.inf), axis=-1)  # absent ones come last
+    return np.where(edges, ranks - (edges.sum(axis=-1, keepdims=True) + 1) / 2, 0.0)

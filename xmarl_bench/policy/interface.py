@@ -9,6 +9,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from xmarl_bench.policy.distribution import ActionDistribution
@@ -58,3 +60,9 @@ class Policy(nn.Module, ABC):
     def distribution(self, observation: Tensor, mask: Tensor | None = None) -> ActionDistribution:
         """(S, N, D) observations -> the action distributions under the mask."""
         return self.decode(self.prepare(observation), mask)
+
+
+def existing_edges(policy: Policy, observation: Tensor) -> NDArray[np.bool_] | None:
+    """`Policy.adjacency` as the metrics take it."""
+    adjacency = policy.adjacency(observation)
+    return None if adjacency is None else np.asarray(adjacency.numpy())

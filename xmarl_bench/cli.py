@@ -6,6 +6,7 @@ import sys
 
 import typer
 
+from xmarl_bench.commands.board import board
 from xmarl_bench.commands.evaluate import evaluate
 from xmarl_bench.commands.list import list_
 from xmarl_bench.commands.render import render
@@ -27,6 +28,7 @@ app.command()(evaluate)
 app.command()(render)
 app.command()(submit)
 app.command()(validate)
+app.add_typer(board, name="board")
 
 
 def main() -> None:

@@ -1,0 +1,161 @@
+"""Build and check what is derived from a folder's entries: JSON, CSV and the page.
+
+Every derived file is first written beside its place under a temporary name, then all are renamed, the page
+`index.html` last. Files under `pages/` carry a hash of their bytes in their name and are removed only when no
+page refers to them any more. So whenever a build is killed, every file is whole, and each page finds the
+files that it was made with. Killed while writing, the board is the old one throughout; killed between two
+renames, some files are of the new one, which `check` reports and the next build completes.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from xmarl_bench.board.columns import COLUMNS
+from xmarl_bench.board.page import PAGES, page_files
+from xmarl_bench.board.tables import board_of
+from xmarl_bench.entry import read_entries
+from xmarl_bench.errors import InputError
+
+ANIMATIONS = "animations"
+STAGED = ".new"  # ending of what is written and not yet in place
+ROW_DEPTH = 6  # from the board down to a table's rows
+
+
+def build_board(folder: Path) -> Path:
+    """Derive everything from FOLDER/entries/*.json; returns FOLDER/leaderboard.json.
+
+    Raises InputError, before writing, where an entry is not valid. Builds of one folder wait for each other.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with _locked(folder):
+        files = derived(folder)
+        _publish(folder, {path: data for path, data in files.items() if _bytes(folder / path) != data})
+        for path in _obsolete(folder, files):
+            path.unlink()
+    return folder / "leaderboard.json"
+
+
+def check_board(folder: Path) -> list[str]:
+    """What is stale, one sentence each; empty where a build would change nothing.
+
+    Raises InputError where there is no such folder, or an entry in it is not valid.
+    """
+    if not folder.is_dir():
+        raise InputError(f"there is no folder {folder}: give that of a leaderboard.")
+    files = derived(folder)
+    found = []
+    for path, data in sorted(files.items()):
+        present = _bytes(folder / path)
+        if present != data:
+            found.append(f"{folder / path} is {'missing' if present is None else 'stale'}.")
+    return found + [f"{path} belongs to no entry." for path in _obsolete(folder, files)]
+
+
+def derived(folder: Path) -> dict[str, bytes]:
+    """Every derived file by its path in the folder, in the order of putting in place."""
+    entries = {f"entries/{path.name}": entry for path, entry in read_entries(folder / "entries")}
+    board = board_of(list(entries.items()))
+    animations = {path.name for path in (folder / ANIMATIONS).glob("*.webp")}
+    pages = page_files(board, entries, animations)
+    return {
+        **{path: data for path, data in pages.items() if "/" in path},
+        "leaderboard.csv": board_csv(board),
+        "leaderboard.json": board_json(board),
+        **{path: data for path, data in pages.items() if "/" not in path},
+    }
+
+
+def board_json(board: Mapping[str, Any]) -> bytes:
+    """Sorted keys, and one line for each row, so that a new entry changes few lines."""
+    return (_json(board, ROW_DEPTH) + "\n").encode()
+
+
+def board_csv(board: Mapping[str, Any]) -> bytes:
+    """One line per row of every table: what it is, its place, and value, low and high of each metric."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["protocol", "episodes", "timesteps", "task", "n_agents", "max_cycles", "policy", "weights_sha256",
+         "gate", "explainer", "control", "rank", "rank_low", "rank_high", "tie_group", "submitter",
+         "verification", "entry_id"]
+        + [f"{metric}{part}" for metric in COLUMNS for part in ("", "_low", "_high")]
+    )  # fmt: skip
+    for table in board["tables"]:
+        protocol = board["protocols"][table["protocol"]]
+        for policy in table["policies"]:
+            for row in policy["rows"]:
+                writer.writerow(
+                    [protocol["id"], protocol["episodes"], protocol["timesteps"], table["task"],
+                     table["n_agents"], table["max_cycles"], policy["name"], policy["weights_sha256"],
+                     policy["gate"], row["explainer"], row["control"], row["rank"],
+                     *(row["rank_interval"] or (None, None)), row["tie_group"], row["submitter"],
+                     row["verification"], row["entry_id"]]
+                    + [number for metric in COLUMNS for number in _numbers(row["metrics"][metric])]
+                )  # fmt: skip
+    return text.getvalue().encode()
+
+
+def _numbers(summary: Mapping[str, Any] | None) -> tuple[float | None, ...]:
+    if summary is None:
+        return None, None, None
+    return summary["value"], *(summary["interval"] or (None, None))
+
+
+def _json(value: Any, depth: int, indent: str = "") -> str:
+    if depth == 0 or not isinstance(value, dict | list) or not value:
+        return json.dumps(value, sort_keys=True, allow_nan=False)
+    inner = indent + " "
+    if isinstance(value, dict):
+        items = [f"{json.dumps(key)}: {_json(value[key], depth - 1, inner)}" for key in sorted(value)]
+        return "{\n" + ",\n".join(inner + item for item in items) + f"\n{indent}}}"
+    return "[\n" + ",\n".join(inner + _json(each, depth - 1, inner) for each in value) + f"\n{indent}]"
+
+
+def _publish(folder: Path, files: Mapping[str, bytes]) -> None:
+    staged = []
+    for path, data in files.items():
+        target = folder / path
+        target.parent.mkdir(exist_ok=True)
+        temporary = target.with_name(f".{target.name}{STAGED}")
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        staged.append((temporary, target))
+    for temporary, target in staged:
+        temporary.replace(target)
+
+
+def _obsolete(folder: Path, files: Mapping[str, bytes]) -> Iterator[Path]:
+    """Pages that nothing refers to, and what a killed build has left."""
+    pages = folder / PAGES
+    for path in sorted([*folder.glob(f".*{STAGED}"), *(pages.iterdir() if pages.is_dir() else ())]):
+        if path.relative_to(folder).as_posix() not in files:
+            yield path
+
+
+def _bytes(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """One build of the folder at a time, also among processes; a killed one holds no lock."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)

@@ -1,0 +1,32 @@
+"""The command that makes an entry's numbers again."""
+
+from __future__ import annotations
+
+import shlex
+
+from xmarl_envs import TASKS
+
+from xmarl_bench.entry import Entry
+
+
+def command_of(entry: Entry, out: str = "again") -> str:
+    """`xmarl-bench score ...`, for a shell: with the same versions its entry has the same `entry_id`."""
+    explainer, protocol = entry.explainer, entry.protocol
+    words = ["xmarl-bench", "score", "--policy", entry.policy.name, "--explainer", explainer.name]
+    for cell in entry.results:
+        words += ["--task", cell.task, "--agents", str(cell.n_agents)]
+    words += ["--episodes", str(protocol.episodes), "--seed", str(explainer.seed)]
+    if protocol.timesteps is not None:
+        words += ["--timesteps", str(protocol.timesteps)]
+    cycles = {cell.max_cycles for cell in entry.results}
+    defaults = {TASKS[cell.task].default_max_cycles for cell in entry.results if cell.task in TASKS}
+    if cycles != defaults:
+        words += ["--max-cycles", str(entry.results[0].max_cycles)]
+    played = {cell.behaviour_episodes for cell in entry.results}
+    if played == {0}:
+        words += ["--no-behaviour", explainer.name]
+    else:
+        words += ["--behaviour-episodes", str(max(played))]
+    if entry.submitter is not None:
+        words += ["--submitter", entry.submitter]
+    return shlex.join([*words, "--out", out])

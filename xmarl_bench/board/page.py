@@ -1,0 +1,200 @@
+"""The page: static files that load nothing from elsewhere, and open from a disk as well as from a server.
+
+`index.html` and `entry.html` are small; what they show comes from scripts in `pages/`, since a browser lets a
+page that was opened from a disk load scripts but not JSON:
+
+- one script with every row of the board (values and intervals, four digits), loaded by both;
+- one script per policy and table with the episodes, budgets and provenance of its entries, loaded when a
+  chart or an entry needs it. One page shows every entry: a page each would repeat all of this.
+
+Each name under `pages/` ends in a hash of the bytes, so no page ever finds a file of another build.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Set
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from xmarl_bench.board.budgets import curves_of
+from xmarl_bench.board.columns import COLUMNS, PAPER, POLICY_METRICS
+from xmarl_bench.board.command import command_of
+from xmarl_bench.controls import INVERTED
+from xmarl_bench.entry import BehaviourRow, CellResult, Entry, EpisodeRow, ExplanationRow
+from xmarl_bench.files import canonical_json
+
+HERE = Path(__file__).parent
+PAGES = "pages"
+DIGITS = 4  # significant; `leaderboard.json` has them all
+Json = dict[str, Any]
+# Metrics that the charts show by episode: of the explanation, not of the policy.
+EPISODE_METRICS = tuple(
+    name
+    for name in EpisodeRow.model_fields
+    if name in {**ExplanationRow.model_fields, **BehaviourRow.model_fields}
+)
+
+
+def page_files(board: Json, entries: Mapping[str, Entry], animations: Set[str]) -> dict[str, bytes]:
+    """Every file of the page by its path.
+
+    board: of `board_of`; entries: by file; animations: names of the files in `animations/`.
+    """
+    files: dict[str, bytes] = {}
+
+    def add(name: str, data: bytes) -> str:
+        stem, dot, ending = name.rpartition(".")
+        path = f"{PAGES}/{stem}-{_hash(data)}{dot}{ending}"
+        files[path] = data
+        return path
+
+    assets = {path.name: add(path.name, path.read_bytes()) for path in sorted((HERE / "assets").iterdir())}
+    data = add("board.js", _script("BOARD", _compact(board, entries, animations, add)))
+    environment = Environment(
+        loader=FileSystemLoader(HERE / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    for name in ("entry.html", "index.html"):
+        template = environment.get_template(f"{name}.jinja")
+        files[name] = template.render(board=board, columns=COLUMNS, assets=assets, data=data).encode()
+    return files
+
+
+def _compact(
+    board: Json, entries: Mapping[str, Entry], animations: Set[str], add: Callable[[str, bytes], str]
+) -> Json:
+    """The whole board in lists. `add` takes the script of a policy and says where it is."""
+    policies: list[Json] = []
+    rows: list[list[Any]] = []
+    reasons: list[Json] = [{}]  # of `not_measured`: most rows share one
+    for t, table in enumerate(board["tables"]):
+        for policy in table["policies"]:
+            key = _hash(canonical_json([t, policy["name"], policy["weights_sha256"]]))
+            detail = _detail(table, policy, entries)
+            script = add(f"{policy['name']}.js", _script(f"XMARL_{key}", detail))
+            policies.append(
+                {
+                    "table": t,
+                    "key": key,
+                    "script": script,
+                    "name": policy["name"],
+                    "lambda": policy["attention_entropy"],
+                    "training_seed": policy["training_seed"],
+                    "trained_n_agents": policy["trained_n_agents"],
+                    "gate": policy["gate"],
+                    "metrics": {name: _value(policy["metrics"][name]) for name in POLICY_METRICS},
+                }
+            )
+            for row in policy["rows"]:
+                why = row["not_measured"]
+                if why not in reasons:
+                    reasons.append(why)
+                identity = None if row["entry_id"] is None else row["entry_id"][:16]
+                rows.append(
+                    [len(policies) - 1, row["explainer"], int(row["control"]), row["rank"],
+                     row["rank_interval"], row["tie_group"], row["submitter"], row["verification"], identity,
+                     int(f"{identity}.webp" in animations), reasons.index(why), row["file"],
+                     [_numbers(row["metrics"][name]) for name in COLUMNS]]
+                )  # fmt: skip
+    return {
+        "columns": list(COLUMNS.items()),  # in order, which keys of JSON have none of
+        "paper": PAPER,
+        "order": board["order"],
+        "gate": board["gate"],
+        "protocols": {
+            key: {name: protocol[name] for name in ("id", "episodes", "timesteps", "definitions")}
+            for key, protocol in board["protocols"].items()
+        },
+        "tables": [
+            {key: table[key] for key in ("task", "n_agents", "max_cycles", "protocol")}
+            for table in board["tables"]
+        ],
+        "policies": policies,
+        "rows": rows,
+        "reasons": reasons,
+        "rankings": [
+            {
+                **{key: ranking[key] for key in ("protocol", "task", "n_agents")},
+                "n_policies": len(ranking["policies"]),
+                "rows": [
+                    {
+                        **row,
+                        "value": _short(row["value"]),
+                        "interval": row["interval"] and [_short(x) for x in row["interval"]],
+                        "means": {name: _short(mean) for name, mean in row["means"].items()},
+                    }
+                    for row in ranking["rows"]
+                ],
+            }
+            for ranking in board["rankings"]
+        ],
+        "episode_metrics": EPISODE_METRICS,
+    }
+
+
+def _detail(table: Json, policy: Json, entries: Mapping[str, Entry]) -> Json:
+    """What a policy's entries hold beside their means."""
+    scope = (table["task"], table["n_agents"], table["max_cycles"])
+    details = {}
+    for row in policy["rows"]:
+        if row["entry_id"] is not None:
+            entry = entries[row["file"]]
+            (cell,) = (c for c in entry.results if (c.task, c.n_agents, c.max_cycles) == scope)
+            details[row["entry_id"][:16]] = _entry_detail(entry, cell)
+    return details
+
+
+def _entry_detail(entry: Entry, cell: CellResult) -> Json:
+    inverted = cell.controls.get(INVERTED)
+    return {
+        "entry_id": entry.entry_id,
+        "explainer": entry.explainer.model_dump(mode="json"),
+        "policy": entry.policy.model_dump(mode="json"),
+        "cost": entry.cost.model_dump(mode="json"),
+        "provenance": entry.provenance.model_dump(mode="json"),
+        "reported": entry.reported,
+        "verification": entry.verification.model_dump(mode="json"),
+        "command": command_of(entry),
+        "first_seed": cell.episodes[0].seed,
+        "n": {name: [s.n, s.n_nan] for name in COLUMNS if (s := getattr(cell.metrics, name)) is not None},
+        "inverted": None
+        if inverted is None
+        else [_numbers(getattr(inverted, name, None)) for name in COLUMNS],
+        "episodes": {
+            name: [_short(getattr(row, name)) for row in cell.episodes]
+            for name in EPISODE_METRICS
+            if any(getattr(row, name) is not None for row in cell.episodes)
+        },
+        "budgets": curves_of(cell),
+    }
+
+
+def _numbers(summary: Any) -> list[float | None] | None:
+    """A summary (a record or its dump) as value, low and high."""
+    if summary is None:
+        return None
+    fields = summary if isinstance(summary, dict) else summary.model_dump()
+    interval = fields["interval"]
+    return [_short(fields["value"]), *([None, None] if interval is None else map(_short, interval))]
+
+
+def _value(summary: Json | None) -> float | None:
+    return None if summary is None else _short(summary["value"])
+
+
+def _short(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.{DIGITS}g}")
+
+
+def _script(name: str, value: Any) -> bytes:
+    return b"globalThis.%s=%s;\n" % (name.encode(), canonical_json(value))
+
+
+def _hash(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:10]

@@ -1,0 +1,270 @@
+"""From entries to the board: tables per cell and protocol, ranked within a policy; rankings over policies.
+
+Entries stand in one table only where protocol and cell are identical. Within a policy rows are ranked by
+paired episodes; over policies by the mean of the order, which is normalised for each policy (0 a random
+ranking, 1 the best one), unlike the paper's metrics.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from xmarl_bench.board.columns import COLUMNS, GATE, ORDER, PAPER, POLICY_METRICS, UNSHOWN
+from xmarl_bench.board.ranking import Floats, Place, complete_part, places
+from xmarl_bench.controls import INVERTED
+from xmarl_bench.entry import CellResult, ControlMetrics, Entry, Metrics
+from xmarl_bench.files import canonical_json
+from xmarl_bench.protocol import PROTOCOL
+from xmarl_bench.reproducible import derived_seed
+
+SCHEMA_VERSION = 3
+Json = dict[str, Any]
+
+
+@dataclass
+class Group:
+    """One policy in one table."""
+
+    policy: Json
+    rows: list[Json] = field(default_factory=list)
+    controls: dict[str, Json] = field(default_factory=dict)
+    episodes: dict[str, Floats] = field(default_factory=dict)  # file -> (E,) of the order; NaN where null
+
+    @property
+    def ranked(self) -> list[Json]:
+        """What is ranked: no controls, nothing on a policy that is gated, nothing without a value."""
+        if self.policy["gate"] is not None:
+            return []
+        return [row for row in self.rows if not row["control"] and value_of(row) is not None]
+
+
+def board_of(entries: Sequence[tuple[str, Entry]]) -> Json:
+    """(file, entry) pairs to the board as JSON; their order does not matter."""
+    protocols: dict[str, Json] = {}
+    scopes: dict[bytes, Json] = {}
+    grouped: dict[bytes, dict[tuple[str, str], Group]] = {}
+    for file, entry in sorted(entries, key=lambda pair: pair[0]):
+        protocol = entry.protocol.model_dump(mode="json")
+        key = hashlib.sha256(canonical_json(protocol)).hexdigest()[:8]
+        protocols[key] = protocol
+        for cell in entry.results:
+            scope = {
+                "task": cell.task,
+                "n_agents": cell.n_agents,
+                "max_cycles": cell.max_cycles,
+                "protocol": key,
+            }
+            groups = grouped.setdefault(canonical_json(scope), {})
+            scopes[canonical_json(scope)] = scope
+            group = groups.setdefault(
+                (entry.policy.name, entry.policy.weights_sha256), Group(_policy(entry, cell))
+            )
+            group.rows.append(_row(file, entry, cell))
+            group.episodes[file] = np.array(
+                [getattr(row, ORDER["by"]) for row in cell.episodes], dtype=np.float64
+            )
+            for name, metrics in cell.controls.items():
+                if name != INVERTED:  # of this explainer alone: read it in the entry
+                    group.controls.setdefault(name, _control_row(file, name, metrics))
+    listed = sorted(
+        ((scopes[key], [group for _, group in sorted(groups.items())]) for key, groups in grouped.items()),
+        key=lambda pair: _table_order(pair[0], protocols[pair[0]["protocol"]]),
+    )
+    for _, table in listed:
+        for group in table:
+            _finish(group)
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "protocol": PROTOCOL,
+        "order": ORDER,
+        "gate": GATE,
+        "protocols": protocols,
+        "rankings": _rankings(listed),
+        "tables": [
+            {**scope, "policies": [{**group.policy, "rows": group.rows} for group in table]}
+            for scope, table in listed
+        ],
+    }
+
+
+def value_of(row: Json) -> float | None:
+    """The number that a row is ordered by; None where there is none."""
+    summary = row["metrics"][ORDER["by"]]
+    return None if summary is None else summary["value"]
+
+
+def _policy(entry: Entry, cell: CellResult) -> Json:
+    """Task metrics are the policy's: the same in every row, for all play the same episodes."""
+    return {
+        "name": entry.policy.name,
+        "weights_sha256": entry.policy.weights_sha256,
+        "attention_entropy": entry.policy.attention_entropy,
+        "training_seed": entry.policy.training_seed,
+        "trained_n_agents": entry.policy.n_agents,
+        "metrics": cell.metrics.model_dump(mode="json", include=set(POLICY_METRICS)),
+        "gate": _gate(cell.metrics),
+    }
+
+
+def _row(file: str, entry: Entry, cell: CellResult) -> Json:
+    return {
+        **_UNRANKED,
+        "explainer": entry.explainer.name,
+        "hyperparameters": entry.explainer.hyperparameters,
+        "seed": entry.explainer.seed,
+        "control": entry.explainer.control,
+        "submitter": entry.submitter,
+        "verification": entry.verification.status,
+        "metrics": _shown(cell.metrics),
+        "not_measured": cell.not_measured,
+        "file": file,
+        "entry_id": entry.entry_id,
+    }
+
+
+def _control_row(file: str, name: str, metrics: ControlMetrics) -> Json:
+    """A control that an entry carries; every entry of the policy carries the same."""
+    return {
+        **_UNRANKED,
+        "explainer": name,
+        "hyperparameters": {},
+        "seed": None,
+        "control": True,
+        "submitter": None,
+        "verification": "",
+        "metrics": _shown(metrics),
+        "not_measured": {},
+        "file": file,
+        "entry_id": None,
+    }
+
+
+_UNRANKED: Json = {"rank": None, "rank_interval": None, "tie_group": None}
+
+
+def _shown(metrics: Metrics | ControlMetrics) -> Json:
+    dumped = metrics.model_dump(mode="json")
+    return {name: dumped.get(name) for name in (*COLUMNS, *UNSHOWN)}
+
+
+def _gate(metrics: Metrics) -> str | None:
+    """Why the policy's rows are not ranked; None where they are."""
+    for name, least in GATE.items():
+        value = getattr(metrics, name).value
+        if value is None or value < least:
+            shown = "not a number" if value is None else f"{value:.3f}"
+            return f"{name.replace('_', ' ')} {shown}, under {least:g}"
+    return None
+
+
+def _finish(group: Group) -> None:
+    """Take in the controls that have no entry of their own, sort best first, and rank."""
+    scored = {row["explainer"] for row in group.rows}
+    group.rows += [row for name, row in group.controls.items() if name not in scored]
+
+    def key(row: Json) -> tuple[bool, float, str, str]:
+        by = value_of(row)
+        return by is None, 0.0 if by is None else -by, row["file"], row["explainer"]
+
+    group.rows.sort(key=key)
+    rows = group.ranked
+    if not rows:
+        return
+    episodes = np.stack([group.episodes[row["file"]] for row in rows])
+    seed = derived_seed("board", group.policy["weights_sha256"], *(row["entry_id"] for row in rows))
+    for row, place in zip(rows, places(_values(rows), [episodes], np.random.default_rng(seed)), strict=True):
+        row |= {"rank": place.rank, "rank_interval": place.rank_interval, "tie_group": place.tie_group}
+
+
+def _rankings(listed: Sequence[tuple[Json, Sequence[Group]]]) -> list[Json]:
+    """One over all tables of a protocol, and one for each of its tasks and team sizes."""
+    scoped: dict[tuple[str, str | None, int | None], list[tuple[Json, Group]]] = {}
+    for scope, groups in listed:
+        protocol = scope["protocol"]
+        for group in groups:
+            if group.ranked:
+                scoped.setdefault((protocol, None, None), []).append((scope, group))
+                scoped.setdefault((protocol, scope["task"], scope["n_agents"]), []).append((scope, group))
+    return [
+        {"protocol": protocol, "task": task, "n_agents": n_agents, **_ranking(pairs)}
+        for (protocol, task, n_agents), pairs in scoped.items()
+    ]
+
+
+def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
+    """Explainers by their mean over the policies that they were all scored on."""
+    by_name = [{row["explainer"]: row for row in reversed(group.ranked)} for _, group in pairs]
+    chosen, names = complete_part({k: sorted(rows) for k, rows in enumerate(by_name)})
+    groups = [pairs[k][1] for k in chosen]
+    rows = {name: [by_name[k][name] for k in chosen] for name in names}
+    means = [float(np.mean(_values(rows[name]))) for name in names]
+    blocks = [
+        np.stack([group.episodes[rows[name][g]["file"]] for name in names]) for g, group in enumerate(groups)
+    ]
+    ids = [row["entry_id"] for each in rows.values() for row in each]
+    found = places(means, blocks, np.random.default_rng(derived_seed("board", *ids)))
+    ranked = [_ranking_row(name, rows[name], False, place) for name, place in zip(names, found, strict=True)]
+    partial = sorted({name for each in by_name for name in each} - set(names))
+    unranked = [
+        _ranking_row(name, [each[name] for each in by_name if name in each], False) for name in partial
+    ]
+    carried = [
+        [row for row in group.rows if row["control"] and value_of(row) is not None] for group in groups
+    ]
+    _, controls = complete_part({k: [row["explainer"] for row in each] for k, each in enumerate(carried)})
+    controls_rows = [
+        _ranking_row(name, [row for each in carried for row in each if row["explainer"] == name], True)
+        for name in controls
+    ]
+    return {
+        "policies": [
+            {"name": pairs[k][1].policy["name"], "task": pairs[k][0]["task"],
+             "n_agents": pairs[k][0]["n_agents"]}
+            for k in chosen
+        ],
+        "rows": sorted(
+            ranked + unranked + controls_rows, key=lambda row: (-row["value"], row["explainer"])
+        ),
+    }  # fmt: skip
+
+
+def _ranking_row(name: str, rows: Sequence[Json], control: bool, place: Place | None = None) -> Json:
+    return {
+        "explainer": name,
+        "control": control,
+        "rank": None if place is None else place.rank,
+        "rank_interval": None if place is None else place.rank_interval,
+        "tie_group": None if place is None else place.tie_group,
+        "value": float(np.mean(_values(rows))),
+        "interval": None if place is None else place.interval,
+        "n_policies": len(rows),
+        "means": {metric: _mean(rows, metric) for metric in PAPER},
+    }
+
+
+def _values(rows: Sequence[Json]) -> list[float]:
+    return [value for row in rows if (value := value_of(row)) is not None]
+
+
+def _mean(rows: Sequence[Json], metric: str) -> float | None:
+    """Over rows; None where one has no number."""
+    summaries = [row["metrics"][metric] for row in rows]
+    values = [s["value"] for s in summaries if s is not None and s["value"] is not None]
+    return float(np.mean(values)) if len(values) == len(rows) else None
+
+
+def _table_order(scope: Json, protocol: Json) -> tuple[str, int, int, int, bytes]:
+    """By cell, then the tables of more episodes first."""
+    timesteps = protocol["timesteps"]
+    return (
+        scope["task"],
+        scope["n_agents"],
+        -protocol["episodes"],
+        0 if timesteps is None else -timesteps,
+        canonical_json(scope),
+    )

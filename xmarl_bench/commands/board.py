@@ -1,0 +1,72 @@
+"""`xmarl-bench board build|check|serve`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+board = typer.Typer(help="Build, check or serve the leaderboard of a folder's entries.", no_args_is_help=True)
+Folder = Annotated[Path, typer.Argument(help="The folder that holds entries/.", show_default=True)]
+
+
+@board.command()
+def build(
+    folder: Folder = Path("leaderboard"),
+    animations: Annotated[
+        bool,
+        typer.Option(
+            "--animations",
+            help="First draw the animations that are missing: minutes, and policies are played.",
+        ),
+    ] = False,
+) -> None:
+    """Derive leaderboard.json, leaderboard.csv and the page from the entries."""
+    from xmarl_bench.board import build_board
+    from xmarl_bench.board.animations import draw_missing
+    from xmarl_bench.errors import InputError
+
+    if not (folder / "entries").is_dir():
+        raise InputError(f"there is no folder {folder / 'entries'}: give the folder of a leaderboard.")
+    if animations:
+        for line in draw_missing(folder):
+            print(line, flush=True)
+    print(f"{build_board(folder)} and {folder / 'index.html'} are up to date.")
+
+
+@board.command()
+def check(folder: Folder = Path("leaderboard")) -> None:
+    """Exit with 1 where a derived file is not what the entries say; animations are not drawn again."""
+    from xmarl_bench.board import check_board
+
+    found = check_board(folder)
+    for line in found:
+        print(line)
+    if found:
+        print(f"Run: xmarl-bench board build {folder}")
+        raise typer.Exit(1)
+    print(f"{folder}: everything derived is what the entries say.")
+
+
+@board.command()
+def serve(
+    folder: Folder = Path("leaderboard"),
+    port: Annotated[int, typer.Option(help="0 takes a free one.", min=0, max=65535)] = 8000,
+) -> None:
+    """Serve the page on this machine alone, until interrupted."""
+    from functools import partial
+    from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+
+    from xmarl_bench.errors import InputError
+
+    if not (folder / "index.html").is_file():
+        raise InputError(f"there is no {folder / 'index.html'}: run xmarl-bench board build {folder}.")
+    handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
+    try:
+        server = ThreadingHTTPServer(("127.0.0.1", port), handler)
+    except OSError as error:
+        raise InputError(f"cannot serve on port {port} ({error.strerror}): choose another --port.") from None
+    with server:
+        print(f"http://127.0.0.1:{server.server_port}/index.html (Ctrl+C ends)", flush=True)
+        server.serve_forever()

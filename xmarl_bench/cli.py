@@ -7,12 +7,14 @@ import sys
 import typer
 
 from xmarl_bench.commands.board import board
+from xmarl_bench.commands.convert import convert
 from xmarl_bench.commands.evaluate import evaluate
 from xmarl_bench.commands.list import list_
 from xmarl_bench.commands.render import render
 from xmarl_bench.commands.score import score
 from xmarl_bench.commands.submit import submit
 from xmarl_bench.commands.validate import validate
+from xmarl_bench.commands.verify import verify
 from xmarl_bench.errors import InputError
 
 app = typer.Typer(
@@ -26,8 +28,10 @@ app.command()(score)
 app.command("list")(list_)
 app.command()(evaluate)
 app.command()(render)
+app.command()(convert)
 app.command()(submit)
 app.command()(validate)
+app.command()(verify)
 app.add_typer(board, name="board")
 
 

@@ -35,6 +35,10 @@ class Checked:
     policies: dict[str, tuple[bytes, bytes]] = field(default_factory=dict)  # by name: card, weights
     findings: list[str] = field(default_factory=list)
 
+    @property
+    def is_bundle(self) -> bool:
+        return self.path.suffix == ".zip" or (self.path / MANIFEST).is_file()
+
 
 def check(path: Path) -> Checked:
     """An entry file, a bundle (zip, or folder with a manifest) or a folder of entries.
@@ -43,7 +47,7 @@ def check(path: Path) -> Checked:
     """
     checked = Checked(path)
     try:
-        if path.suffix == ".zip" or (path / MANIFEST).is_file():
+        if checked.is_bundle:
             _check_bundle(checked)
         elif path.is_dir():
             names = sorted(path.glob("*.json"))

@@ -67,7 +67,8 @@ class Sandbox:
 
     def explain(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
         """(S, N, D) -> (S, N, N), not checked yet: `run_explainer` does that, as with any other."""
-        return self._ask("explain", policy, observations, generator)
+        mask: Tensor = self._ask("explain", policy, observations, generator)
+        return mask
 
     def fit(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Fitted:
         """(S, N, D) states to be fitted on -> the explainer of this policy, as it stays in the process."""
@@ -165,8 +166,8 @@ class Sandbox:
         self.close()
         return InputError(
             f"the process of explainer {shown(self.explainer)} ended (exit code {code}), maybe at a limit of "
-            f"{self.limits.memory_bytes / 2**30:g} GiB or {self.limits.cpu_seconds} s: give it more, or leave "
-            f"it out."
+            f"{self.limits.memory_bytes / 2**30:g} GiB or {self.limits.cpu_seconds} s: give it more, or "
+            f"leave it out."
         )
 
 
@@ -179,4 +180,5 @@ class Fitted:
 
     def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
         """(S, N, D) -> (S, N, N)."""
-        return self.sandbox._ask("explain", policy, observations, generator, fitted=self.key)  # type: ignore[no-any-return]
+        mask: Tensor = self.sandbox._ask("explain", policy, observations, generator, fitted=self.key)
+        return mask

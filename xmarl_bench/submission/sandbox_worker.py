@@ -10,6 +10,7 @@ import os
 import pickle
 import struct
 import sys
+from pathlib import Path
 from typing import IO, Any
 
 from xmarl_bench.submission.limits import Limits
@@ -19,7 +20,7 @@ def main() -> None:
     name, limits = sys.argv[1], Limits(**json.loads(sys.argv[2]))
     answers = os.fdopen(os.dup(1), "wb")
     questions = os.fdopen(os.dup(0), "rb")
-    with open(os.devnull, "r+b") as nowhere:
+    with Path(os.devnull).open("r+b") as nowhere:
         for descriptor in (0, 1):
             os.dup2(nowhere.fileno(), descriptor)
     limits.apply()

@@ -1,0 +1,135 @@
+"""The tiers that run: some episodes of an entry again (spot), or all of it (full).
+
+Spot plays k episodes, drawn anew for each check, explains them and compares each row, but for behavioural
+fidelity: that is of all episodes together. Full scores the entry as `xmarl-bench score` does and compares
+every row, aggregate and control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import zip_longest
+
+import numpy as np
+
+from xmarl_bench.cell_result import episode_row
+from xmarl_bench.entry import BehaviourMetrics, BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
+from xmarl_bench.measure import Explained, Unit
+from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.registry import FoundExplainer
+from xmarl_bench.request import Cell, Request, Sampling
+from xmarl_bench.rollout import Rollout
+from xmarl_bench.sanity import SANITY_EPISODES
+from xmarl_bench.scoring import score_requests
+from xmarl_bench.submission.recompute import Difference, summaries
+
+BEHAVIOUR = tuple(BehaviourMetrics.model_fields)
+# What an explainer's record may say otherwise and still be the same: where it was found, not what it is.
+WHERE = ("seed", "code", "distribution", "version", "entry_point", "code_sha256")
+
+
+@dataclass
+class Rerun:
+    """Numbers of an entry beside those of the rerun."""
+
+    episodes: list[list[Difference]] = field(default_factory=list)  # by episode played again
+    aggregates: list[Difference] = field(default_factory=list)  # of full alone
+    findings: list[str] = field(default_factory=list)
+
+    @property
+    def differences(self) -> list[Difference]:
+        return [each for episode in self.episodes for each in episode] + self.aggregates
+
+
+def rerun(
+    entry: Entry,
+    policy: Policy,
+    card: PolicyCard,
+    found: FoundExplainer,
+    *,
+    episodes: int | None,
+    rng: np.random.Generator,
+) -> Rerun:
+    """Play and explain `episodes` episodes of each cell again, all where it is None.
+
+    Raises InputError where policy, explainer and cells do not fit, or the explainer fails.
+    """
+    result = Rerun()
+    for k, cell in enumerate(entry.results):
+        sampling = Sampling(
+            episodes=entry.protocol.episodes,
+            timesteps=entry.protocol.timesteps,
+            max_cycles=cell.max_cycles,
+            seed=entry.explainer.seed,
+        )
+        cells = (Cell(cell.task, cell.n_agents),)
+        request = Request(policy, card, found, cells, sampling, cell.behaviour_episodes)
+        if episodes is None:
+            _full(result, f"results.{k}", cell, request)
+        else:
+            chosen = sorted(rng.permutation(len(cell.episodes))[:episodes].tolist())
+            _spot(result, f"results.{k}", cell, request, chosen)
+    return result
+
+
+def record_findings(entry: ExplainerRecord, found: ExplainerRecord) -> Iterator[str]:
+    """Is the explainer that is to be run the one that the entry is of?"""
+    for name in ExplainerRecord.model_fields:
+        if name not in WHERE and getattr(entry, name) != getattr(found, name):
+            yield f"explainer.{name} is {getattr(entry, name)!r}, here it is {getattr(found, name)!r}."
+    if entry.code_sha256 is not None and entry.code_sha256 != found.code_sha256:
+        yield "explainer.code_sha256 is that of another file than is run here."
+
+
+def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen: Sequence[int]) -> None:
+    sampling, explainer = request.sampling, request.explainer.explainer
+    seeds = tuple(sampling.seeds[k] for k in chosen)
+    rollout = Rollout(request.policy, cell.task, cell.n_agents, seeds, sampling.max_cycles)
+    for k, episode in zip(chosen, rollout.play(), strict=True):
+        sanity = k < SANITY_EPISODES
+        unit = Unit(request.policy, (explainer,), episode, sampling.seed, sampling.timesteps, sanity)
+        measured = unit.run()
+        explained = measured.explained[explainer.name]
+        if not isinstance(explained, Explained):
+            raise explained
+        row = episode_row(request.cells[0], episode, measured, explained, dict.fromkeys(BEHAVIOUR))
+        result.episodes.append(list(_rows(f"{where}.episodes.{k}", cell.episodes[k], row, behaviour=False)))
+
+
+def _full(result: Rerun, where: str, cell: CellResult, request: Request) -> None:
+    (again,) = next(iter(score_requests([request]))).results
+    pairs = enumerate(zip(cell.episodes, again.episodes, strict=True))
+    result.episodes += [
+        list(_rows(f"{where}.episodes.{k}", row, other, behaviour=True)) for k, (row, other) in pairs
+    ]
+    if cell.not_measured.keys() != again.not_measured.keys() or cell.controls.keys() != again.controls.keys():
+        result.findings.append(f"{where}: what was measured is not what the rerun measures.")
+        return
+    for name in type(cell.metrics).model_fields:
+        result.aggregates += summaries(
+            f"{where}.metrics.{name}", getattr(cell.metrics, name), getattr(again.metrics, name)
+        )
+    for control, metrics in cell.controls.items():
+        for name in type(metrics).model_fields:
+            result.aggregates += summaries(
+                f"{where}.controls.{control}.{name}",
+                getattr(metrics, name),
+                getattr(again.controls[control], name),
+            )
+
+
+def _rows(where: str, entry: EpisodeRow, found: EpisodeRow, *, behaviour: bool) -> Iterator[Difference]:
+    """Every number of two rows, beside each other."""
+    for name in EpisodeRow.model_fields:
+        if name.endswith("budget"):
+            yield from _budgets(f"{where}.{name}", getattr(entry, name), getattr(found, name))
+        elif behaviour or name not in BEHAVIOUR:
+            yield Difference(f"{where}.{name}", getattr(entry, name), getattr(found, name))
+
+
+def _budgets(where: str, entry: BudgetRow | None, found: BudgetRow | None) -> Iterator[Difference]:
+    for name in BudgetRow.model_fields:
+        curves = [None if each is None else getattr(each, name) for each in (entry, found)]
+        for k, values in enumerate(zip_longest(*(curve or () for curve in curves))):
+            yield Difference(f"{where}.{name}.{k}", *values)

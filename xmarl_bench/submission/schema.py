@@ -1,0 +1,28 @@
+"""The JSON Schemas that are published: `python -m xmarl_bench.submission.schema leaderboard` writes them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from xmarl_bench.entry import Entry, Record
+from xmarl_bench.files import pretty_json, write_atomically
+from xmarl_bench.submission.manifest import Manifest
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+PUBLISHED: dict[str, type[Record]] = {"entry.schema.json": Entry, "manifest.schema.json": Manifest}
+
+
+def schema(model: type[Record]) -> dict[str, Any]:
+    """JSON Schema of a record, unknown keys refused. It says nothing of what numbers must fulfil together."""
+    return {"$schema": DIALECT, **model.model_json_schema()}
+
+
+def publish(folder: Path) -> None:
+    for name, model in PUBLISHED.items():
+        write_atomically(folder / name, pretty_json(schema(model)))
+
+
+if __name__ == "__main__":
+    publish(Path(sys.argv[1]))

@@ -55,7 +55,9 @@ class BlindNavigation(Task):
         gained = distance(before, state.targets) - to_goal
         at_goal = to_goal < self.goal_radius
         done = np.asarray(at_goal.all(axis=-1))
-        team = gained.sum(axis=-1) + self.all_at_goal_reward * done.astype(np.float64)
+        team = gained.sum(axis=-1)
+        if np.count_nonzero(done):  # quicker than to add zeros
+            team += self.all_at_goal_reward * done
         reward = team[:, None] - self.collision_penalty * contacts
         return Outcome(reward, done, at_goal, np.zeros(at_goal.shape, np.bool_))
 

@@ -19,6 +19,7 @@ DAMPING = VELOCITY_KEPT ** (1.0 / (SUBSTEPS * MOVE))  # per s, in the one move o
 COPY_SPACING = 64.0  # m between slots: nobody gets that far in an episode
 BORDER_THICKNESS = 0.5  # m
 COLLISION_SLOP = 1e-4  # m; pymunk's default of 0.1 is as large as an agent
+PUSH = np.array(float(CONTACT_CHECKS))  # an array: numpy takes twice as long for a number
 STATE, FORCE = BodyFields.POSITION | BodyFields.VELOCITY, BodyFields.FORCE
 
 
@@ -33,28 +34,18 @@ class Chamber:
         offset: (n_slots, 1, 2) m.
         agents: (n_slots, N, 4) position, m, and velocity, m/s, that `write` sets.
         walls: (n_slots, W, 4) the same of the walls, which do not move by themselves.
+        position, velocity: (n_slots, N, 2) m, m/s, where the last `step` brought the agents.
     """
 
     def __init__(self, task: Task, n_slots: int = 1) -> None:
+        self._task = task
         side = int(np.ceil(np.sqrt(n_slots)))
         slot = np.arange(n_slots)
         grid = np.stack([slot % side, slot // side], axis=1).astype(np.float64)
         self.offset: Floats = grid[:, None] * COPY_SPACING
-        self._space = space = pymunk.Space()
-        space.collision_slop = COLLISION_SLOP
-        n_discs, n_walls = n_slots * task.n_agents, n_slots * task.n_walls
-        for _ in range(n_discs):
-            disc = pymunk.Body(1.0, float("inf"))
-            space.add(disc, _frictionless(pymunk.Circle(disc, task.radius)))
-        # Kinematic, not static: they move between episodes, and Chipmunk re-indexes kinematic shapes itself.
-        for _ in range(n_walls):
-            wall = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
-            space.add(wall, _immovable(pymunk.Poly.create_box(wall, task.wall_size)))
-        if task.bound is not None:
-            for x, y in self.offset[:, 0]:
-                self._add_border(float(x), float(y), task.bound + task.radius)
         # Pymunk reads the memory of these arrays: agents, walls, and one row more for Space.static_body,
         # which comes last in a batch and would be set to whatever lies past the end.
+        n_discs, n_walls = n_slots * task.n_agents, n_slots * task.n_walls
         state = np.zeros((n_discs + n_walls + 1, 4))
         force = np.zeros((n_discs + n_walls + 1, 2))
         self._state_in, self._force_in, self._state_out = Buffer(), Buffer(), Buffer()
@@ -67,6 +58,29 @@ class Chamber:
         self.agents[..., 0] = self.offset[..., 0] + 3 * task.radius * np.arange(task.n_agents)
         self.agents[..., 1] = self.offset[..., 1] + COPY_SPACING / 4
         self.walls[..., :2] = self.offset - COPY_SPACING / 4
+        self.renew()
+        # Pymunk moves the memory that it fills for as long as it grows: the first time only, for there are as
+        # many bodies ever after.
+        self._read()
+        memory: Floats = np.frombuffer(self._state_out.float_buf(), count=self.agents.size)
+        seen = memory.reshape(self.agents.shape)
+        self.position, self.velocity = seen[..., :2], seen[..., 2:]
+
+    def renew(self) -> None:
+        """Go on in a new Space: nothing of the old one (cached contacts, the order in its tree) is left."""
+        task, n_slots = self._task, len(self.offset)
+        self._space = space = pymunk.Space()
+        space.collision_slop = COLLISION_SLOP
+        for _ in range(n_slots * task.n_agents):
+            disc = pymunk.Body(1.0, float("inf"))
+            space.add(disc, _frictionless(pymunk.Circle(disc, task.radius)))
+        # Kinematic, not static: they move between episodes, and Chipmunk re-indexes kinematic shapes itself.
+        for _ in range(n_slots * task.n_walls):
+            wall = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+            space.add(wall, _immovable(pymunk.Poly.create_box(wall, task.wall_size)))
+        if task.bound is not None:
+            for x, y in self.offset[:, 0]:
+                self._add_border(float(x), float(y), task.bound + task.radius)
 
     def _add_border(self, x: float, y: float, half_width: float) -> None:
         reach = half_width + BORDER_THICKNESS
@@ -79,14 +93,11 @@ class Chamber:
         """Set all bodies to `agents` and `walls`."""
         set_space_bodies(self._space, STATE, self._state_in)
 
-    def step(self, force: Floats) -> Floats:
-        """Advance by TIME_STEP under forces (n_slots, N, 2) in newton.
-
-        Returns (n_slots, N, 4), positions and velocities: a view that the next step overwrites.
-        """
+    def step(self, force: Floats) -> None:
+        """Advance by TIME_STEP under forces (n_slots, N, 2) in newton."""
         # A substep moves by the old velocity, then changes the velocity. Its first moves only coast, and the
         # last brings the whole substep's drag and force: contacts are found early, free flight is the same.
-        np.multiply(force, CONTACT_CHECKS, out=self._force)
+        np.multiply(force, PUSH, out=self._force)
         space = self._space
         for _ in range(SUBSTEPS):
             space.damping = 1.0
@@ -95,10 +106,11 @@ class Chamber:
             space.damping = DAMPING
             set_space_bodies(space, FORCE, self._force_in)  # every Space.step clears it
             space.step(MOVE)
+        self._read()
+
+    def _read(self) -> None:
         self._state_out.clear()
-        get_space_bodies(space, STATE, self._state_out)
-        # Read through pymunk's own memory: it reallocates the buffer while filling it, so no alias is safe.
-        return np.frombuffer(self._state_out.float_buf(), count=self.agents.size).reshape(self.agents.shape)
+        get_space_bodies(self._space, STATE, self._state_out)
 
 
 def _immovable(shape: pymunk.Shape) -> pymunk.Shape:

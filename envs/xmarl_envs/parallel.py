@@ -45,7 +45,6 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         self._renderer: Renderer | None = None
         self._track: Track | None = None  # of what was seen, for pictures; None without them
         self._seeds = SeedRow()
-        self._action = np.zeros((1, task.n_agents, 2))
         self.possible_agents = [f"agent_{i}" for i in range(task.n_agents)]
         self.agents: list[str] = []
         box = spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
@@ -92,27 +91,18 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         if not self.agents:
             return {}, {}, {}, {}, {}
         agents = self.agents
-        missing = [agent for agent in agents if agent not in actions]
-        if missing:
-            raise ValueError(f"every live agent needs an action, none was given for {', '.join(missing)}.")
-        for i, agent in enumerate(agents):
-            action = np.asarray(actions[agent])
-            if action.shape != (2,):
-                raise ValueError(f"the action of {agent} must have shape (2,), got {action.shape}.")
-            self._action[0, i] = action
-        step = self._vector.step(self._action)
+        step = self._vector.step(self._in_order(actions))
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         key = self.task.success_key
-        flags = (step.success[0], step.agent_collision[0], step.object_collision[0])
+        (success,), (reward,) = step.success.tolist(), step.reward.tolist()
+        (of_agents,), (of_objects,) = step.agent_collision.tolist(), step.object_collision.tolist()
         infos = {
-            agent: {key: success, "agent_collision": of_agents, "object_collision": of_objects}
-            for agent, success, of_agents, of_objects in zip(
-                agents, *(flag.tolist() for flag in flags), strict=True
-            )
+            agent: {key: success[i], "agent_collision": of_agents[i], "object_collision": of_objects[i]}
+            for i, agent in enumerate(agents)
         }
         result = (
             self._by_agent(step.observation[0]),
-            dict(zip(agents, step.reward[0].tolist(), strict=True)),
+            dict(zip(agents, reward, strict=True)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             infos,
@@ -152,8 +142,26 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
             self._renderer.close()
             self._renderer = None
 
+    def _in_order(self, actions: dict[str, Array]) -> NDArray[np.float64]:
+        """(1, N, 2): the agents' actions, or a sentence on the first that is wrong."""
+        try:
+            action = np.array([[actions[agent] for agent in self.agents]], dtype=np.float64)
+        except (KeyError, ValueError):
+            action = np.empty(0)  # missing, or of several shapes: below
+        if action.shape != (1, self.task.n_agents, 2):
+            missing = [agent for agent in self.agents if agent not in actions]
+            if missing:
+                raise ValueError(
+                    f"every live agent needs an action, none was given for {', '.join(missing)}."
+                )
+            for agent in self.agents:
+                shape = np.asarray(actions[agent], dtype=np.float64).shape
+                if shape != (2,):
+                    raise ValueError(f"the action of {agent} must have shape (2,), got {shape}.")
+        return action
+
     def _by_agent(self, observation: Array) -> dict[str, Array]:
-        return dict(zip(self.possible_agents, observation, strict=True))
+        return {agent: observation[i] for i, agent in enumerate(self.possible_agents)}
 
 
 class Constructors(NamedTuple):

@@ -19,11 +19,14 @@ class SeparateSpaces:
     def place(self, episodes: NDArray[np.intp], agents: Floats, walls: Floats) -> None:
         """Begin episodes (E,) with agents (E, N, 2) at rest and walls (E, W, 2).
 
-        Each in a Space built anew: nothing of earlier episodes (cached contacts, the order in its search
-        tree) can reach the new one.
+        Each in a Space built anew: nothing of earlier episodes can reach the new one.
         """
         for row, episode in enumerate(episodes):
-            self._chambers[episode] = chamber = Chamber(self._task)
+            chamber = self._chambers[episode]
+            if chamber is None:
+                self._chambers[episode] = chamber = Chamber(self._task)
+            else:
+                chamber.renew()
             chamber.agents[0, :, :2] = agents[row]
             chamber.agents[0, :, 2:] = 0.0
             chamber.walls[0, :, :2] = walls[row]
@@ -35,6 +38,6 @@ class SeparateSpaces:
         """Advance position and velocity (B, N, 2), in place, under force (B, N, 2)."""
         for k, chamber in enumerate(self._chambers):
             if chamber is not None and (live is None or live[k]):
-                state = chamber.step(force[k])[0]
-                position[k] = state[:, :2]
-                velocity[k] = state[:, 2:]
+                chamber.step(force[k])
+                position[k] = chamber.position
+                velocity[k] = chamber.velocity

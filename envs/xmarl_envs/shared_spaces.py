@@ -66,8 +66,8 @@ class SharedSpaces:
             chamber.write()
             thrust = np.zeros((occupant.size, *force.shape[1:]))
             thrust[slots] = force[inside]
-            state = chamber.step(thrust)[slots]
-            real_position, real_velocity = state[..., :2] - offset, state[..., 2:]
+            chamber.step(thrust)
+            real_position, real_velocity = chamber.position[slots] - offset, chamber.velocity[slots]
             # A correction that was due from the last step may have brought about another contact.
             self._touched[inside] |= _differ(real_position, end_position[inside])
             self._touched[inside] |= _differ(real_velocity, end_velocity[inside])

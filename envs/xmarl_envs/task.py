@@ -101,7 +101,8 @@ def distance(a: Floats, b: Floats) -> Floats:
     """(..., 2), (..., 2) -> (...) Euclidean distance. Written out: the same bits whatever the batch."""
     apart = a - b
     apart *= apart
-    return np.asarray(np.sqrt(apart[..., 0] + apart[..., 1]))
+    length: Floats = np.sqrt(apart[..., 0] + apart[..., 1])
+    return length
 
 
 def scatter(rng: np.random.Generator, n_points: int, half_width: float, spacing: float) -> Floats:

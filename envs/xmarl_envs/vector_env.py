@@ -51,7 +51,10 @@ class VectorEnv:
         probe = task.spawn(np.random.default_rng(0))
         self._targets: Floats = np.zeros((n_episodes, *probe.targets.shape))
         self._walls: Floats = np.zeros((n_episodes, *probe.walls.shape))
-        self._contact_distance = 2 * task.radius + task.collision_gap
+        # Arrays of one number: a Python number takes numpy longer than the arithmetic of a small team.
+        self._contact_distance = np.array(2 * task.radius + task.collision_gap)
+        self._u_mult, self._one = np.array(task.u_mult), np.array(1)
+        self._action_shape = (n_episodes, n_agents, 2)
         self._first, self._second = np.triu_indices(n_agents, k=1)
         pairs = np.arange(self._first.size)
         # (pairs, N): which agents a pair is made of; a boolean (B, pairs) times it counts partners.
@@ -97,31 +100,26 @@ class VectorEnv:
 
         live: (B,) episodes that still matter; the others may be left unmoved, and their results mean nothing.
         """
-        expected = (self.n_episodes, self.task.n_agents, 2)
-        if action.shape != expected:
-            raise ValueError(f"actions must have shape {expected}, got {action.shape}.")
-        largest = np.abs(action).max()
+        if action.shape != self._action_shape:
+            raise ValueError(f"actions must have shape {self._action_shape}, got {action.shape}.")
+        size = np.abs(action)
+        largest = size.item(size.argmax())  # NaN counts as largest
         if not math.isfinite(largest):
             raise ValueError(f"actions of {self.task.name} must be finite numbers, got NaN or infinity.")
-        force = action.astype(np.float64)
         if largest > 1.0:
-            np.clip(force, -1.0, 1.0, out=force)
-        force *= self.task.u_mult
+            action = np.clip(action, -1.0, 1.0)
         before = self.world.position.copy()
-        self.world.step(force, live)
-        self.cycles += 1
+        self.world.step(action * self._u_mult, live)  # float64, whatever the actions are
+        self.cycles += self._one
         position = self.world.position
         # `take`: indexing an axis in the middle is 15 times slower.
         near = distance(position.take(self._first, axis=1), position.take(self._second, axis=1))
         touching = near <= self._contact_distance
-        contacts = touching.astype(np.float64) @ self._incidence
-        outcome = self.task.judge(before, self._state, contacts)
-        return Step(
-            observation=self.observe(),
-            reward=outcome.reward,
-            terminated=outcome.done,
-            truncated=(self.cycles >= self.max_cycles) & ~outcome.done,
-            success=outcome.success,
-            agent_collision=contacts.astype(np.bool_),
-            object_collision=outcome.object_collision,
-        )
+        if np.count_nonzero(touching):
+            contacts = touching.astype(np.float64) @ self._incidence
+        else:
+            contacts = np.zeros(position.shape[:2])
+        reward, done, success, object_collision = self.task.judge(before, self._state, contacts)
+        truncated = (self.cycles >= self.max_cycles) > done  # and not done
+        collision = contacts.astype(np.bool_)
+        return Step(self.observe(), reward, done, truncated, success, collision, object_collision)

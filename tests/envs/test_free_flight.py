@@ -37,7 +37,8 @@ def in_spaces(
         chamber.agents[0] = np.concatenate([position[k], velocity[k]], axis=-1)
         chamber.walls[0, :, :2] = walls[k]
         chamber.write()
-        ends.append(chamber.step(force[k])[0].copy())
+        chamber.step(force[k])
+        ends.append(np.concatenate([chamber.position[0], chamber.velocity[0]], axis=-1))
     return np.array(ends)[..., :2], np.array(ends)[..., 2:]
 
 

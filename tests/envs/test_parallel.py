@@ -151,5 +151,15 @@ def test_missing_agents_are_named() -> None:
         env.step({"agent_0": np.zeros(2, dtype=np.float32)})
 
 
+@pytest.mark.parametrize("n_agents", [1, 2, 3])
+def test_actions_of_a_wrong_shape_that_numpy_would_spread_are_refused(n_agents: int) -> None:
+    env = TaskParallelEnv(make_task("blind_navigation_v0", n_agents))
+    env.reset(seed=0)
+    wrong: list[Any] = [np.zeros(1), np.float64(0.5), np.zeros((1, 2)), np.zeros(n_agents + 2)]
+    for bad in wrong:
+        with pytest.raises(ValueError, match=r"the action of agent_0 must have shape \(2,\), got"):
+            env.step(dict.fromkeys(env.agents, bad))
+
+
 def random_actions(env: TaskParallelEnv) -> dict[str, NDArray[np.float32]]:
     return {agent: env.action_space(agent).sample() for agent in env.agents}

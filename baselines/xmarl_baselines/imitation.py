@@ -10,16 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, cast
 
 import numpy as np
 import torch
 from torch import Tensor
-from xmarl_envs import Task, VectorEnv
+from xmarl_envs import BlindNavigation, State, Task, VectorEnv
 from xmarl_envs.heuristics import heuristic
+from xmarl_envs.heuristics.wide_berth import wide_berth
+from xmarl_envs.task import Floats
 
 from xmarl_baselines.schedules import ramp
 from xmarl_baselines.team_policy import mean_attention_entropy
 from xmarl_baselines.team_vec_env import training_seeds
+from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy
 
 ROUND = 25  # team-steps of every team between two rounds of gradient steps
@@ -30,6 +34,7 @@ class Imitation:
     """How long and how. A round is ROUND steps of `n_envs` teams, then `updates` gradient steps."""
 
     rounds: int
+    teacher: Literal["heuristic", "wide_berth"] = "heuristic"  # the task's own, or navigation's smooth one
     n_envs: int = 200
     updates: int = 20
     batch_size: int = 1000  # team-steps
@@ -41,6 +46,25 @@ class Imitation:
     attention_ramp: float = 0.4  # ... grows from 0 over this fraction: at once it would silence the team
     noise: float = 0.15  # standard deviation added to the actions of half of the teams at each step
     scale: float = 0.3  # of the actor's action distribution at the end: how much it explores afterwards
+
+    def __post_init__(self) -> None:
+        if self.teacher not in ("heuristic", "wide_berth"):
+            raise InputError(f"teacher must be heuristic or wide_berth, got {self.teacher!r}.")
+
+    @property
+    def frames(self) -> int:
+        """Team-steps played in all rounds."""
+        return self.rounds * self.frames_per_round
+
+    @property
+    def frames_per_round(self) -> int:
+        return ROUND * self.n_envs
+
+    def shows(self, task: Task, state: State) -> Floats:
+        """(B, N, 2) actions in [-1, 1] to be imitated."""
+        if self.teacher == "wide_berth":
+            return wide_berth(cast(BlindNavigation, task), state)
+        return heuristic(task, state)
 
 
 def imitate(
@@ -111,7 +135,7 @@ class _Teams:
         n_envs, rng = self._how.n_envs, self._rng
         follows = rng.random(n_envs) < guided
         for _ in range(ROUND):
-            shown = heuristic(self._task, self._env.state)
+            shown = self._how.shows(self._task, self._env.state)
             seen = torch.from_numpy(self._observation)
             slot = self._stored % len(self._seen)
             self._seen[slot], self._shown[slot] = seen, torch.from_numpy(shown)

@@ -94,7 +94,8 @@ class ModelSelection(BaseCallback):
             max_cycles=VALIDATION.max_cycles,
             parallel_episodes=VALIDATION.episodes,
         )
-        record: Record = {"frames": self.num_timesteps}
+        frames = self.model.num_timesteps
+        record: Record = {"frames": frames}
         for name in MEASURES:
             record[name] = float(np.mean([getattr(episode, name) for episode in episodes]))
             self.logger.record(f"validation/{name}", record[name])
@@ -103,7 +104,7 @@ class ModelSelection(BaseCallback):
         weights = weights_at(self._folder, record)
         weights.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(weights, save(policy.state_dict()))
-        earlier = [row for row in self.curve() if row["frames"] < self.num_timesteps]
+        earlier = [row for row in self.curve() if row["frames"] < frames]
         write_json(self._folder / "curve.json", [*earlier, record])
 
     def curve(self) -> list[Record]:

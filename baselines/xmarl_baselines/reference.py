@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from xmarl_baselines.policies import shipped_policies
-from xmarl_baselines.recipes import RECIPES, Recipe
+from xmarl_baselines.recipes import PAPER_NAVIGATION, RECIPES, Recipe
 from xmarl_baselines.trainer import Run
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.bundle import load_card
@@ -15,7 +15,7 @@ SIZES = (3, 4, 5)
 SEEDS = (0, 1, 2)
 EPISODES = 200  # that policies are measured on: the first 50 are the ones that scoring plays
 # lambda of the attention-entropy term.
-LAMBDAS = {"blind_navigation_v0": 0.2, "blind_passage_v0": 0.02, "blind_discovery_v0": 0.05}
+LAMBDAS = {"blind_navigation_v0": 0.05, "blind_passage_v0": 0.02, "blind_discovery_v0": 0.05}
 
 
 def reference_runs() -> dict[str, Run]:
@@ -27,6 +27,7 @@ def reference_runs() -> dict[str, Run]:
         for n_agents in SIZES
         for task, recipe in RECIPES.items()
     ]
+    runs += [Run(PAPER_NAVIGATION, n_agents) for n_agents in SIZES]  # navigation-paper-n3-lambda0-seed0, ...
     return {run.name: run for run in runs}
 
 

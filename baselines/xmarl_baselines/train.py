@@ -150,7 +150,7 @@ def train_and_save(
         training_seed=run.seed,
         training={
             **run.settings(),
-            "frames": run.recipe.frames,
+            "frames": run.recipe.played,
             "seconds": round(trained.seconds, 1),
             "validation": trained.validation,
             "curve": trained.curve,
@@ -166,7 +166,7 @@ def _command(run: Run) -> str:
         return f"xmarl-train --reproduce {run.name}"
     return (
         f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
-        f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.frames}"
+        f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.played}"
         + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
         + ("" if run.start_from is None else f" --start-from runs/{run.start_from}")
     )
@@ -182,11 +182,11 @@ def _progress(run: Run) -> Iterator[Report]:
     )  # fmt: skip
     last_line = time.monotonic()
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task(run.name, total=run.recipe.frames, seen="")
+        bar = progress.add_task(run.name, total=run.recipe.played, seen="")
 
         def report(frames: int, log: dict[str, float]) -> None:
             nonlocal last_line
-            seen = f"{frames / 1e6:.1f} of {run.recipe.frames / 1e6:.1f} M frames"
+            seen = f"{frames / 1e6:.1f} of {run.recipe.played / 1e6:.1f} M frames"
             if "imitation_error" in log:
                 seen = f"imitation, error {log['imitation_error']:.3f}"
             elif "rollout/is_success" in log:

@@ -22,12 +22,14 @@ from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
 from xmarl_envs import make_task
 
 from xmarl_baselines.distance_attention import attend_by_distance
 from xmarl_baselines.imitation import imitate
 from xmarl_baselines.mappo import MAPPO
 from xmarl_baselines.model_selection import ModelSelection, Record
+from xmarl_baselines.place_code import code_places
 from xmarl_baselines.recipes import Recipe
 from xmarl_baselines.team_vec_env import TeamVecEnv
 from xmarl_bench.errors import InputError
@@ -35,7 +37,8 @@ from xmarl_bench.files import write_json
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.request import Cell
 
-VALIDATIONS = 25  # per run
+VALIDATIONS = 25  # per run of MAPPO
+IMITATION_VALIDATIONS = 10  # per run that is imitation alone
 Report = Callable[[int, dict[str, float]], None]  # frames so far, SB3's log of the last iteration
 
 
@@ -54,14 +57,18 @@ class Run:
     @property
     def name(self) -> str:
         short = self.recipe.task.removeprefix("blind_").rsplit("_", 1)[0]
+        if self.recipe.variant:
+            short += f"-{self.recipe.variant}"
         caution = "" if self.caution == 1.0 else f"-caution{self.caution:g}"
         return f"{short}-n{self.n_agents}-lambda{self.attention_entropy:g}{caution}-seed{self.seed}"
 
     @property
     def regularised_from(self) -> float:
         """Frames after which lambda is whole."""
-        ramp = self.recipe.attention_start + self.recipe.attention_ramp
-        return ramp * self.recipe.frames if self.attention_entropy else 0.0
+        how = self.recipe if self.recipe.frames else self.recipe.imitation
+        assert how is not None
+        ramp = how.attention_start + how.attention_ramp
+        return ramp * self.recipe.played if self.attention_entropy else 0.0
 
     def settings(self) -> dict[str, Any]:
         """As plain JSON, for settings.json and the policy's card."""
@@ -124,7 +131,12 @@ def train(
         warm_start=run.recipe.imitation is not None or start_from is not None,
     )
     keeper = _Keeper(folder, checkpoint_every, seconds, report)
-    if run.recipe.imitation is not None and done is None and start_from is None:
+    if not run.recipe.frames and done is None:
+        _imitate_alone(model, run, folder, selection, report)
+        keeper.init_callback(model)
+        keeper.save()
+        seconds = keeper.seconds
+    elif run.recipe.imitation is not None and done is None and start_from is None:
         imitate(
             model.policy.actor,
             make_task(run.recipe.task, run.n_agents),
@@ -149,6 +161,36 @@ def train(
         selection.init_callback(model)
     policy, validation = selection.best()
     return Trained(policy, seconds, validation, selection.curve())
+
+
+def _imitate_alone(
+    model: MAPPO, run: Run, folder: Path, selection: ModelSelection, report: Report | None
+) -> None:
+    """Imitation as the whole of training, with validations along it."""
+    how = run.recipe.imitation
+    assert how is not None
+    model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+    selection.init_callback(model)
+    every = max(1, how.rounds // IMITATION_VALIDATIONS)
+
+    def after_round(done: int, log: dict[str, float]) -> None:
+        model.num_timesteps = done * how.frames_per_round
+        if report is not None:
+            report(model.num_timesteps, log)
+        for name, value in log.items():
+            model.logger.record(f"train/{name}", value)
+        if done % every == 0 or done == how.rounds:
+            selection.validate()
+        model.logger.dump(model.num_timesteps)
+
+    imitate(
+        model.policy.actor,
+        make_task(run.recipe.task, run.n_agents),
+        how,
+        seed=run.seed,
+        attention_entropy=run.attention_entropy,
+        report=after_round,
+    )
 
 
 def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
@@ -183,6 +225,8 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
     )
     if recipe.distance_attention:
         attend_by_distance(model.policy.actor, recipe.distance_attention)
+    if recipe.place_code:
+        code_places(model.policy.actor, recipe.place_code)
     return model
 
 

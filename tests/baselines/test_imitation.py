@@ -5,15 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from xmarl_baselines.imitation import Imitation, imitate
 from xmarl_baselines.recipes import RECIPES
 from xmarl_baselines.team_policy import mean_attention_entropy
 from xmarl_baselines.trainer import Run, build, train
-from xmarl_envs import TASKS, make_task
+from xmarl_envs import TASKS, VectorEnv, make_task
+from xmarl_envs.heuristics import heuristic
+from xmarl_envs.heuristics.wide_berth import wide_berth
 
 from tests.baselines.test_training import short_validation, small
+from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Architecture, GraphPolicy
 
 __all__ = ["short_validation"]  # a fixture, for every test here
@@ -124,3 +128,52 @@ def test_only_the_critic_learns_at_first() -> None:
     assert changed(critic, model.policy.critic) and not changed(actor, model.policy.actor)
     model.learn(640)
     assert changed(actor, model.policy.actor)
+
+
+def alone(rounds: int = 20) -> Run:
+    """Imitation as the whole of training, in a second."""
+    recipe = RECIPES["blind_navigation_v0"]
+    assert recipe.frames == 0 and recipe.imitation is not None
+    how = replace(recipe.imitation, rounds=rounds, n_envs=10, updates=2, batch_size=50)
+    return Run(replace(recipe, imitation=how, n_envs=2, n_steps=20, batch_size=40))
+
+
+def test_a_run_of_imitation_alone_is_looked_at_along_training(tmp_path: Path) -> None:
+    run = alone()
+    trained = train(run, tmp_path / "run")
+    assert run.recipe.played == 20 * 25 * 10
+    assert [record["frames"] for record in trained.curve] == list(range(500, 5001, 500))
+    assert len(list((tmp_path / "run" / "validated").iterdir())) == 10
+    again = train(run, tmp_path / "run", resume=True)  # finished: nothing is trained, the same is chosen
+    assert again.validation == trained.validation and again.curve == trained.curve
+    assert again.seconds == pytest.approx(trained.seconds, abs=1.0)
+    once_more = train(run, tmp_path / "other")
+    for name, tensor in trained.policy.state_dict().items():
+        assert torch.equal(tensor, once_more.policy.state_dict()[name]), name
+
+
+def test_looks_before_lambda_is_whole_are_not_chosen(tmp_path: Path) -> None:
+    run = replace(alone(), attention_entropy=0.1)
+    assert run.regularised_from == pytest.approx(0.7 * 5000)
+    assert train(run, tmp_path / "run").validation["frames"] >= 3500
+    assert alone().regularised_from == 0.0
+
+
+def test_imitation_alone_is_shortened_and_not_fine_tuned() -> None:
+    recipe = alone().recipe.shortened(2500)
+    assert recipe.imitation is not None and (recipe.frames, recipe.imitation.rounds) == (0, 10)
+    with pytest.raises(InputError, match="imitation alone"):
+        recipe.fine_tuning()
+    with pytest.raises(InputError, match="needs frames"):
+        replace(recipe, imitation=None)
+
+
+def test_the_teacher_is_chosen() -> None:
+    task = make_task("blind_navigation_v0")
+    env = VectorEnv(task, 4)
+    env.reset(range(4))
+    smooth, own = replace(TINY, teacher="wide_berth"), TINY
+    assert np.array_equal(smooth.shows(task, env.state), wide_berth(task, env.state))  # type: ignore[arg-type]
+    assert np.array_equal(own.shows(task, env.state), heuristic(task, env.state))
+    with pytest.raises(InputError, match="teacher must be"):
+        replace(TINY, teacher="nobody")  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from xmarl_baselines.distance_attention import attend_by_distance
 from xmarl_baselines.fast_layers import speed_up
 from xmarl_baselines.mappo import MAPPO
 from xmarl_baselines.model_selection import VALIDATION, ModelSelection, Record, plain_actor, worth
-from xmarl_baselines.recipes import RECIPES, Recipe, recipe_for
+from xmarl_baselines.recipes import PAPER_NAVIGATION, RECIPES, Recipe, recipe_for
 from xmarl_baselines.shaping import Shaping, distance_through_gap, training_reward
 from xmarl_baselines.team_policy import log_prob
 from xmarl_baselines.team_vec_env import TeamVecEnv
@@ -221,8 +221,7 @@ def test_the_way_through_the_gap() -> None:
 
 def test_fast_layers_compute_the_same() -> None:
     torch.manual_seed(0)
-    recipe = RECIPES["blind_navigation_v0"]
-    plain = GraphPolicy(Architecture.model_validate({**recipe.architecture, "obs_dim": 6}))
+    plain = GraphPolicy(Architecture.model_validate({**PAPER_NAVIGATION.architecture, "obs_dim": 6}))
     fast = GraphPolicy(plain.architecture)
     fast.load_state_dict(plain.state_dict())
     speed_up(fast)
@@ -238,8 +237,7 @@ def test_fast_layers_compute_the_same() -> None:
 
 def test_attention_by_distance_prefers_self_then_the_nearest() -> None:
     torch.manual_seed(0)
-    recipe = RECIPES["blind_navigation_v0"]
-    policy = GraphPolicy(Architecture.model_validate({**recipe.architecture, "obs_dim": 6}))
+    policy = GraphPolicy(Architecture.model_validate({**PAPER_NAVIGATION.architecture, "obs_dim": 6}))
     attend_by_distance(policy, 2.5)
     x = torch.zeros(1, 3, 6)
     x[0, 1, 0], x[0, 2, 0] = 0.3, 1.0

@@ -8,7 +8,9 @@ import importlib.util
 import inspect
 import sys
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 from types import ModuleType
@@ -57,23 +59,36 @@ def load_reference(reference: str) -> tuple[Any, Origin]:
         found = getattr(found, part)
     if is_file:
         return found, Origin(None, None, f"{Path(place).name}:{name}", sha256)
-    distribution = next(iter(packages_distributions().get(place.split(".")[0], [])), None)
+    distribution = _distribution_of(place)
     version = None if distribution is None else package_version(distribution)
     return found, Origin(distribution, version, f"{place}:{name}", None if distribution else _of_file(module))
 
 
 def origin_of(found: object) -> Origin:
-    """Of an object that was handed over: its qualified name and, where Python has it, its own source.
+    """Of an object that was handed over: the installed package it is of, or the hash of its own source.
 
-    The hash covers the source of the function or class, and nothing that it calls.
+    The hash covers the source of the function or class, where Python has it, and nothing that it calls.
     """
     code = found if inspect.isroutine(found) or inspect.isclass(found) else type(found)
+    where = f"{code.__module__}:{code.__qualname__}"
+    distribution = _distribution_of(code.__module__)
+    if distribution is not None:
+        return Origin(distribution, package_version(distribution), where, None)
     try:
         source = textwrap.dedent(inspect.getsource(code)).encode()
     except (OSError, TypeError):
         source = None
-    where = f"{code.__module__}:{code.__qualname__}"
     return Origin(None, None, where, None if source is None else hashlib.sha256(source).hexdigest())
+
+
+def _distribution_of(module: str) -> str | None:
+    """The installed package that a module is of, by its top-level name."""
+    return next(iter(_distributions().get(module.split(".")[0], [])), None)
+
+
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    return packages_distributions()
 
 
 def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:

@@ -19,6 +19,9 @@ from torch import Tensor
 from xmarl_bench.policy import Policy
 
 
+NORMALISER = "0.5 + a / (2 max |a|) over the row"  # what `signed_to_unit` does, as entries record it
+
+
 def effect_direction(policy: Policy, prepared: Any, n_steps: int, n_agents: int) -> Tensor:
     """(S, N, A): sign(F_i(1) - F_i(0)) / A, so that e_i is its product with F_i, up to a constant."""
     with torch.no_grad():

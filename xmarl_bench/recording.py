@@ -15,6 +15,7 @@ from xmarl_envs.scene import Track
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer, run_explainer
+from xmarl_bench.fitting import fitted
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
 from xmarl_bench.rollout import act
@@ -47,6 +48,7 @@ class Recording:
                 f"explainer {explainer.name!r} explains policies, and the team is {self.team!r}: "
                 f"choose a policy, or leave the explainer out."
             )
+        explainer = fitted(explainer, self.policy, self.task.name, self.task.n_agents, self.run_seed)
         seed = derived_seed("explainer", self.run_seed, explainer.name, self.seed)
         with one_thread():
             observations = torch.tensor(self.observations[np.asarray(cycles)])

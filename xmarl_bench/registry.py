@@ -1,6 +1,7 @@
 """Finds policies and explainers by name, among those of every installed package.
 
-Explainers: entry points in group `xmarl_bench.explainers`, name -> an `Explainer` of the same name.
+Explainers: entry points in group `xmarl_bench.explainers`, name -> an `Explainer` of the same name, or
+anything that `as_explainer` makes one of; and whatever `path/to/file.py:Name` or `module:Name` names.
 Policies: entry points in group `xmarl_bench.policies`, each -> a function without arguments that returns
 {policy name: folder of its bundle, or a function without arguments that returns a `PolicyModule`}. A plugin
 that fails to load raises, with its name.
@@ -11,15 +12,16 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
 from xmarl_envs import TASKS
 
-from xmarl_bench.code_origin import Origin, is_reference, load_reference
+from xmarl_bench.code_origin import Origin, is_reference, load_reference, origin_of
 from xmarl_bench.controls import CONTROLS
+from xmarl_bench.doors import as_explainer, code_of
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
@@ -39,6 +41,7 @@ class FoundExplainer:
     distribution: str | None
     version: str | None
     entry_point: str
+    code_sha256: str | None = None  # of the file, or of its own source where it was handed over
 
 
 @dataclass(frozen=True)
@@ -65,15 +68,10 @@ class PolicyCode:
         return made.open(Origin(*_distribution(self.plugin), where, None))
 
 
-def as_found(explainer: Explainer) -> FoundExplainer:
-    """An explainer handed over as an object, that no package registers."""
-    if not NAME.match(explainer.name):
-        raise InputError(
-            f"explainer name {explainer.name!r} cannot be part of a file name: use a-z, 0-9, . _ and -."
-        )
-    explain = explainer.explain
-    where = explain if hasattr(explain, "__qualname__") else type(explain)
-    return FoundExplainer(explainer, None, None, f"{where.__module__}:{where.__qualname__}")
+def as_found(thing: object) -> FoundExplainer:
+    """An explainer handed over as an object, or what `as_explainer` makes one of."""
+    explainer = as_explainer(thing)
+    return _found(explainer, origin_of(code_of(explainer)))
 
 
 def explainer_names() -> list[str]:
@@ -82,7 +80,10 @@ def explainer_names() -> list[str]:
 
 
 def find_explainer(name: str) -> FoundExplainer:
-    """Load one explainer. Raises InputError for an unknown name or a plugin that does not load."""
+    """Load one explainer, by its name, or by `path/to/file.py:Name` or `module:Name`, which runs that code.
+
+    Raises InputError for an unknown name, and for a plugin or a file that does not load.
+    """
     if name in CONTROLS:
         return FoundExplainer(
             CONTROLS[name],
@@ -90,23 +91,41 @@ def find_explainer(name: str) -> FoundExplainer:
             package_version("xmarl-bench"),
             f"xmarl_bench.controls:CONTROLS[{name!r}]",
         )
+    if is_reference(name):
+        thing, origin = load_reference(name)
+        return _found(_explainer_of(thing, name), origin)
     plugins = _explainer_plugins()
     if name not in plugins:
-        raise unknown("explainer", name, explainer_names())
+        raise unknown("explainer", name, explainer_names(), "or give path/to/file.py:Name or module:Name")
     plugin = plugins[name]
-    explainer = _load(plugin)
-    if not isinstance(explainer, Explainer):
-        raise InputError(
-            f"explainer plugin {name!r} ({plugin.value}) is a {type(explainer).__name__}: "
-            f"let its entry point name an xmarl_bench Explainer."
-        )
+    loaded = _load(plugin)
+    explainer = _explainer_of(loaded, name, plugin)
+    if not isinstance(loaded, Explainer):  # it has no name of its own
+        explainer = replace(explainer, name=name)
     if explainer.name != name:
         raise InputError(
             f"explainer plugin {name!r} ({plugin.value}) calls itself {explainer.name!r}: "
             f"use one name for both."
         )
-    as_found(explainer)  # a name that is fit for files
-    return FoundExplainer(explainer, *_distribution(plugin), plugin.value)
+    return _found(explainer, Origin(*_distribution(plugin), plugin.value, None))
+
+
+def _explainer_of(thing: object, name: str, plugin: EntryPoint | None = None) -> Explainer:
+    try:
+        return as_explainer(thing)
+    except InputError as error:
+        what = f"explainer {name!r}" if plugin is None else f"explainer plugin {name!r} ({plugin.value})"
+        raise InputError(f"{what} cannot be taken: {error}") from None
+
+
+def _found(explainer: Explainer, origin: Origin) -> FoundExplainer:
+    """Raises InputError for a name that is not fit for files, or that of a control."""
+    name = explainer.name
+    if not NAME.match(name):
+        raise InputError(f"explainer name {name!r} cannot be part of a file name: use a-z, 0-9, . _ and -.")
+    if name in CONTROLS and explainer is not CONTROLS[name]:
+        raise InputError(f"explainer {name!r} ({origin.where}) has the name of a control: rename it.")
+    return FoundExplainer(explainer, origin.distribution, origin.version, origin.where, origin.sha256)
 
 
 def find_policies() -> dict[str, Path]:

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from xmarl_bench.cell_result import Done, cell_result, cost_of
 from xmarl_bench.code_origin import origin_of
+from xmarl_bench.effect import NORMALISER
 from xmarl_bench.entry import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry
-from xmarl_bench.explainer import Explainer
 from xmarl_bench.fan_out import check_parallel, fan_out
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy_module import PolicyModule
@@ -21,12 +21,12 @@ from xmarl_bench.protocol import DEFINITIONS
 from xmarl_bench.provenance import now, provenance
 from xmarl_bench.registry import FoundExplainer, as_found, find_explainer, open_policy
 from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.work import check_explainers, needs, pieces, roll_out_worlds, run, wanted
+from xmarl_bench.work import check_explainers, fit_explainers, needs, pieces, roll_out_worlds, run, wanted
 
 
 def score(
     policy: str | Path | PolicyModule | tuple[Policy, PolicyCard],
-    explainer: str | Explainer,
+    explainer: object,
     *,
     task: str | None = None,
     n_agents: int | None = None,
@@ -44,9 +44,10 @@ def score(
     """Score one explainer on one policy in one cell.
 
     Args:
-        policy: a registered name, the folder or zip of a bundle, `module:factory`, what `load_policy` returns,
-            or a network of your own as a `PolicyModule`.
-        explainer: a registered name or an `Explainer`.
+        policy: a registered name, the folder or zip of a bundle, `module:factory`, what `load_policy`
+            returns, or a network of your own as a `PolicyModule`.
+        explainer: a registered name, `path/to/file.py:Name`, `module:Name`, an `Explainer`, or what
+            `as_explainer` makes one of: a function, a class, an algorithm of torch_geometric.explain.
         task, n_agents: what the policy was trained for by default.
         episodes, timesteps, max_cycles, seed: which states, see `Sampling`.
         behaviour_episodes: how many of the episodes the team also plays on the explanation, which asks the
@@ -88,7 +89,7 @@ def score_requests(
     """
     check_parallel(jobs, parallel_episodes)
     started = now()
-    work = wanted(requests)
+    work = fit_explainers(wanted(requests))
     episodes = roll_out_worlds(
         requests, jobs=jobs, parallel_episodes=parallel_episodes, progress="roll out" if progress else None
     )
@@ -152,7 +153,8 @@ def explainer_record(found: FoundExplainer, seed: int) -> ExplainerRecord:
         seed=seed,
         batched=explainer.batched,
         binary=explainer.binary,
-        signed="signed_to_unit" if explainer.signed else None,
+        signed=NORMALISER if explainer.signed else None,
         needs_fit=explainer.fit is not None,
         accesses=explainer.accesses,
+        code_sha256=found.code_sha256,
     )

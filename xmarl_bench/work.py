@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from xmarl_bench.behaviour import BehaviourBlock, Played, blocks
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
+from xmarl_bench.fitting import fitted
 from xmarl_bench.measure import Measured, Unit
 from xmarl_bench.policy import Policy
 from xmarl_bench.request import Cell, Request
@@ -83,6 +84,22 @@ def wanted(requests: Sequence[Request]) -> Wanted:
                     raise InputError(f"two explainers are named {name!r}: rename one.")
                 explainers[name] = explainer, max(n_episodes, most)
     return merged
+
+
+def fit_explainers(work: Wanted) -> Wanted:
+    """The same work by explainers that have been fitted to the policies, each to each once."""
+    done: dict[tuple[World, str], Explainer] = {}
+    for key, users in work.items():
+        world, cell = key.world, key.world.cell
+        for name, (explainer, n_episodes) in users.items():
+            if explainer is None or explainer.fit is None:
+                continue
+            if (world, explainer.name) not in done:
+                done[world, explainer.name] = fitted(
+                    explainer, world.policy, cell.task, cell.n_agents, world.seed
+                )
+            users[name] = done[world, explainer.name], n_episodes
+    return work
 
 
 def roll_out_worlds(

@@ -42,7 +42,7 @@ def test_a_plugin_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("gone", "tests.bench.no_such_module:x", "ModuleNotFoundError"),
         ("gone", "tests.bench.plugins:no_such_name", "AttributeError"),
-        ("gone", "tests.bench.plugins:not_an_explainer", "is a str"),
+        ("gone", "tests.bench.plugins:not_an_explainer", "a str explains nothing"),
         ("gone", "tests.bench.plugins:misnamed", "'another'"),
         ("random", "tests.bench.plugins:vandal", "control"),
     ],

@@ -41,7 +41,8 @@ lint: $(STAMP)  ## Check style and formatting with ruff
 type: $(STAMP)  ## Check types of packages and tests with mypy --strict
 	$(BIN)/mypy
 
-bench: $(STAMP)  ## Measure how fast the environments step, beside VMAS
+bench: $(STAMP)  ## Measure environments, explainers and trainer beside VMAS, MPE2, PyG and BenchMARL
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench]'
 	$(BIN)/python -m pytest --benchmark-only tests/benchmarks
 
 wheel-test: $(STAMP)  ## Build the wheel and try it in a clean environment outside the repository

@@ -80,6 +80,45 @@ def test_who_goes_second_closes_in_no_faster_than_allowed() -> None:
     assert free[0, 0, 0] <= -1.0 + REACTION * 0.2 + 1e-12
 
 
+@pytest.mark.parametrize("n_agents", [1, 2, 9])
+@pytest.mark.parametrize("seed", range(5))
+def test_giving_way_is_what_it_is_by_hand_one_partner_after_the_other(n_agents: int, seed: int) -> None:
+    """Crowded enough that most agents pass somebody by and keep off several."""
+    rng = np.random.default_rng(seed)
+    position = rng.uniform(-0.7, 0.7, (3, n_agents, 2))
+    wanted = rng.uniform(-0.4, 0.4, position.shape)
+    rank, sight = rng.uniform(0, 1, (3, n_agents)), rng.uniform(0, 0.8, (3, n_agents))
+    safe = give_way(position, wanted, rank, 0.25, sight)
+    n_turned = 0
+    for episode in range(3):
+        velocities: dict[int, Floats] = {}
+        for me in np.argsort(rank[episode]):
+            velocity = wanted[episode, me]
+            offsets = {j: position[episode, j] - position[episode, me] for j in velocities}
+            for to in offsets.values():
+                velocity = passed_by(velocity, to, 0.25, sight[episode, me])
+            for _ in range(2):
+                for j, to in offsets.items():
+                    length = np.hypot(*to)
+                    closing = (velocity - velocities[j]) @ to / length
+                    velocity = velocity - max(closing - REACTION * (length - 0.25), 0.0) * to / length
+            velocities[int(me)] = velocity
+            np.testing.assert_allclose(safe[episode, me], velocity, atol=1e-12)
+            n_turned += not np.allclose(velocity, wanted[episode, me])
+    assert n_turned > n_agents or n_agents < 9
+
+
+def passed_by(velocity: Floats, to: Floats, clearance: float, reach: float) -> Floats:
+    speed, length = np.hypot(*velocity), np.hypot(*to)
+    heading = velocity / speed
+    left = heading[0] * to[1] - heading[1] * to[0]
+    if length >= reach or heading @ to <= 0 or abs(left) >= clearance:
+        return velocity
+    across = np.array([to[1], -to[0]]) / length * (1 if left >= 0 else -1)
+    turned = heading + across
+    return np.asarray(speed * turned / np.hypot(*turned))
+
+
 def test_the_force_keeps_a_velocity() -> None:
     """What `force` answers to a velocity already reached leaves it as it is, against the drag."""
     task = make_task("blind_navigation_v0", 1)

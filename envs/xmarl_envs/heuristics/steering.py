@@ -40,40 +40,60 @@ def give_way(position: Floats, wanted: Floats, rank: Floats, clearance: float, s
     REACTION times the room left beyond `clearance`, a distance between centres (a control barrier function:
     Ames et al. 2019).
     """
-    n_agents = position.shape[1]
-    order = rank.argsort(axis=1, kind="stable")
-    episode = np.arange(len(position))
+    order = rank.argsort(axis=1, kind="stable")[..., None]
+    place, wish = np.take_along_axis(position, order, axis=1), np.take_along_axis(wanted, order, axis=1)
+    reach = np.take_along_axis(sight, order[..., 0], axis=1)
     safe = np.zeros_like(wanted)
-    for turn in range(n_agents):
-        me = order[:, turn]
-        velocity, reach = wanted[episode, me], sight[episode, me]
-        before = [(position[episode, j] - position[episode, me], safe[episode, j]) for j in order[:, :turn].T]
-        for offset, _ in before:
-            velocity = _pass_by(velocity, offset, clearance, reach)
-        for _ in range(2):  # keeping off one may push into another
-            for offset, theirs in before:
-                velocity = _keep_off(velocity - theirs, offset, clearance) + theirs
-        safe[episode, me] = velocity
-    return safe
+    for turn in range(position.shape[1]):
+        before = place[:, :turn] - place[:, turn, None]
+        velocity = _pass_by(wish[:, turn], before, clearance, reach[:, turn])
+        safe[:, turn] = _keep_off(velocity, safe[:, :turn], before, clearance)
+    result = np.empty_like(safe)
+    np.put_along_axis(result, order, safe, axis=1)
+    return result
 
 
 def _pass_by(velocity: Floats, offset: Floats, clearance: float, reach: Floats) -> Floats:
-    """(B, 2): turned by up to 45 degrees away from a partner at `offset` that stands in the way."""
-    heading, bearing = unit(velocity), unit(offset)
-    ahead = (heading * offset).sum(axis=-1)
-    aside = heading[:, 0] * offset[:, 1] - heading[:, 1] * offset[:, 0]  # positive: the partner is left
-    in_the_way = (ahead > 0) & (np.abs(aside) < clearance) & (_length(offset)[:, 0] < reach)
-    right_of_it = np.stack([bearing[:, 1], -bearing[:, 0]], axis=-1)
-    turned = unit(heading + np.where(aside >= 0, 1.0, -1.0)[:, None] * right_of_it) * _length(velocity)
-    return np.where(in_the_way[:, None], turned, velocity)
+    """(B, 2): turned by up to 45 degrees away from each partner, one after the other, that stands in the way.
+
+    velocity: (B, 2); offset: (B, K, 2) of the partners; reach: (B,) m.
+    """
+    near = _length(offset)[..., 0] < reach[:, None]
+    right_of_it = unit(np.stack([offset[..., 1], -offset[..., 0]], axis=-1))
+    episode = np.arange(len(velocity))
+    while near.any():
+        heading = unit(velocity)
+        ahead = (heading[:, None] * offset).sum(axis=-1)
+        # Positive: the partner is left.
+        aside = heading[:, :1] * offset[..., 1] - heading[:, 1:] * offset[..., 0]
+        in_the_way = near & (ahead > 0) & (np.abs(aside) < clearance)
+        nobody = ~in_the_way.any(axis=1)
+        first = in_the_way.argmax(axis=1)
+        side = np.where(aside[episode, first] >= 0, 1.0, -1.0)[:, None]
+        turned = unit(heading + side * right_of_it[episode, first]) * _length(velocity)
+        velocity = np.where(nobody[:, None], velocity, turned)
+        # What is left to look at: partners after the one just passed.
+        near &= (np.arange(near.shape[1]) > first[:, None]) & ~nobody[:, None]
+    return velocity
 
 
-def _keep_off(relative: Floats, offset: Floats, clearance: float) -> Floats:
-    """(B, 2): relative velocity without what is too fast towards the partner."""
-    bearing = unit(offset)
-    room = _length(offset)[:, 0] - clearance
-    excess = np.maximum((relative * bearing).sum(axis=-1) - REACTION * room, 0.0)
-    return np.asarray(relative - excess[:, None] * bearing)
+def _keep_off(velocity: Floats, theirs: Floats, offset: Floats, clearance: float) -> Floats:
+    """(B, 2): without what is too fast towards each of the partners, one after the other.
+
+    velocity: (B, 2); theirs, offset: (B, K, 2) velocities and offsets of the partners.
+    """
+    # Partners first: each turn of the loop then reads contiguous memory.
+    others, bearings = np.moveaxis(theirs, 1, 0).copy(), np.moveaxis(unit(offset), 1, 0).copy()
+    allowed = REACTION * np.moveaxis(_length(offset)[..., 0] - clearance, 1, 0)
+    for _ in range(2):  # keeping off one may push into another
+        for other, bearing, limit in zip(others, bearings, allowed, strict=True):
+            relative = velocity - other
+            towards_it = relative * bearing
+            excess = towards_it[:, 0] + towards_it[:, 1] - limit
+            if excess.max() > 0.0:
+                relative -= np.maximum(excess, 0.0)[:, None] * bearing
+            velocity = relative + other
+    return velocity
 
 
 def _length(vector: Floats) -> Floats:

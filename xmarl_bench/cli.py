@@ -12,6 +12,7 @@ from xmarl_bench.commands.evaluate import evaluate
 from xmarl_bench.commands.list import list_
 from xmarl_bench.commands.render import render
 from xmarl_bench.commands.score import score
+from xmarl_bench.commands.study import study
 from xmarl_bench.commands.submit import submit
 from xmarl_bench.commands.validate import validate
 from xmarl_bench.commands.verify import verify
@@ -29,6 +30,7 @@ app.command("list")(list_)
 app.command()(evaluate)
 app.command()(render)
 app.command()(convert)
+app.command()(study)
 app.command()(submit)
 app.command()(validate)
 app.command()(verify)

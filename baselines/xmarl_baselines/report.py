@@ -25,25 +25,13 @@ from xmarl_bench.policy import PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.report import Row, markdown, performance_rows
 from xmarl_bench.request import Cell, Sampling
+from xmarl_bench.study.paper import MAIN as PAPER
 
 ROOT = Path(__file__).parent.parent.parent
 README = ROOT / "baselines" / "README.md"
 PICTURE = ROOT / "docs" / "learning.png"
 ZERO_SHOT = Path(__file__).parent / "zero_shot.json"
 
-# Kailas et al. (ICML 2025), table of task performance: success, no agent collision, no object collision,
-# makespan, without and with the attention-entropy term.
-PAPER: dict[tuple[str, int], tuple[tuple[float | None, ...], tuple[float | None, ...]]] = {
-    ("blind_navigation_v0", 3): ((0.99, 1.0, None, 48.45), (0.99, 1.0, None, 48.99)),
-    ("blind_navigation_v0", 4): ((0.96, 0.98, None, 61.41), (0.94, 1.0, None, 64.18)),
-    ("blind_navigation_v0", 5): ((0.80, 0.94, None, 200.92), (0.90, 0.94, None, 175.86)),
-    ("blind_passage_v0", 3): ((1.0, 0.30, 0.0, 45.445), (1.0, 0.69, 0.06, 49.015)),
-    ("blind_passage_v0", 4): ((0.69, 0.58, 0.0, 119.505), (1.0, 0.32, 0.0, 119.675)),
-    ("blind_passage_v0", 5): ((0.91, 0.11, 0.0, 84.885), (0.99, 0.22, 0.0, 100.2)),
-    ("blind_discovery_v0", 3): ((0.92, None, None, 112.38), (0.87, None, None, 145.19)),
-    ("blind_discovery_v0", 4): ((0.99, None, None, 95.16), (0.95, None, None, 134.79)),
-    ("blind_discovery_v0", 5): ((0.92, None, None, 113.25), (0.95, None, None, 108.95)),
-}
 MEASURES = {
     "success": "success_rate",
     "no agent collision": "no_agent_collision",
@@ -75,12 +63,13 @@ def cell_rows(cards: list[PolicyCard]) -> list[Row]:
     for (task, n_agents, regularised), group in sorted(cells.items()):
         best = max(group, key=success)
         row: Row = {"task": task, "agents": n_agents, "lambda": best.attention_entropy, "seeds": len(group)}
-        for (title, name), theirs in zip(MEASURES.items(), PAPER[task, n_agents][regularised], strict=True):
+        for title, name in MEASURES.items():
+            theirs = PAPER[task, n_agents].get(name)
             values = [card.performance["with_messages"][name] for card in group]
             mine = best.performance["with_messages"][name]
             row[title] = shown(name, mine)
             if mine is not None:
-                paper = "" if theirs is None else f", paper {shown(name, theirs)}"
+                paper = "" if theirs is None else f", paper {shown(name, theirs[regularised].mean)}"
                 row[title] += f" ({shown(name, median(values))}){paper}"
         unheard = best.performance["without_messages"]
         row["success without messages"] = shown("success_rate", unheard["success_rate"])

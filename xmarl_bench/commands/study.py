@@ -1,0 +1,85 @@
+"""`xmarl-bench study`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from xmarl_bench.commands.options import Jobs, MaxCycles, Policies, Seed
+
+
+class Name(StrEnum):
+    main = "main"
+    training = "training"
+    zero_shot = "zero-shot"
+
+
+def study(
+    name: Annotated[
+        Name,
+        typer.Argument(
+            help="main: three tasks, three team sizes; training: checkpoints; zero-shot: larger teams."
+        ),
+    ],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="4 timesteps of 4 episodes: a look, no result.")
+    ] = False,
+    policy: Policies = ["all"],  # noqa: B006
+    explainer: Annotated[
+        list[str], typer.Option("--explainer", help="One more than the ledgers compare. Repeatable.")
+    ] = [],  # noqa: B006
+    episodes: Annotated[int, typer.Option(help="Episodes per policy.")] = 50,
+    timesteps: Annotated[
+        int | None,
+        typer.Option(help="At most so many evenly spaced timesteps of each episode; all by default."),
+    ] = None,
+    max_cycles: MaxCycles = None,
+    behaviour: Annotated[
+        list[str],
+        typer.Option(
+            help="Explainer on whose masks the team also plays, or 'all'. It is asked at every step, which "
+            "takes most explainers longer than all the rest. Repeatable; none by default."
+        ),
+    ] = [],  # noqa: B006
+    figures: Annotated[bool, typer.Option(help="Draw (needs the extra 'plots').")] = True,
+    seed: Seed = 0,
+    jobs: Jobs = 1,
+    submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where everything goes; study/NAME by default, study/NAME-quick.")
+    ] = None,
+) -> None:
+    """Reproduce a study of the paper and judge its statements; what is scored already is not scored again."""
+    from xmarl_bench.files import check_writable
+    from xmarl_bench.request import Sampling
+    from xmarl_bench.study.cache import Cache
+    from xmarl_bench.study.figures import check_matplotlib
+    from xmarl_bench.study.output import write_study
+    from xmarl_bench.study.plan import QUICK, find_study, plan, select_study_explainers
+    from xmarl_bench.study.results import StudyData
+    from xmarl_bench.study.samples import Samples
+
+    chosen = find_study(name.value)
+    folder = out or Path("study") / (f"{name.value}-quick" if quick else name.value)
+    if figures:
+        check_matplotlib()
+    if quick:
+        episodes, timesteps = QUICK.episodes, QUICK.timesteps
+    sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
+    explainers = select_study_explainers(explainer)
+    requests = plan(chosen, policy, explainers, sampling, behaviour)
+    Samples.check([request.card for request in requests[:: len(explainers)]])
+    check_writable(folder)
+    entries = Cache(folder / "entries").complete(requests, jobs=jobs, progress=True, submitter=submitter)
+    pairs = [(request.card, entry) for request, entry in zip(requests, entries, strict=True)]
+    data = StudyData(chosen, tuple(found.explainer.name for found in explainers), pairs, Samples.of(pairs))
+    results = write_study(folder, data, figures=figures)
+    verdicts = [claim["verdict"] for claim in results["ledger"]]
+    counted = ", ".join(f"{verdicts.count(each)} {each}" for each in sorted(set(verdicts)))
+    for absent in results["missing"]:
+        print(f"missing: {absent}")
+    print(f"{len(verdicts)} statements of the paper: {counted}.")
+    print(f"{len(entries)} entries, results.json, tables/, figures/ and report.html in {folder}.")

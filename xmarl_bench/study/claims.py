@@ -1,0 +1,219 @@
+"""A comparative statement as data: what is compared with what, in which cells, and what "holds" would mean.
+
+A statement is a set of contrasts "a is better than b on a metric", judged cell by cell, and a word for how
+many of the cells it speaks of. The words are the paper's, the rules are ours:
+
+- EVERY ("consistently", "across all"): held where every cell has it; not held as soon as one has the reverse.
+- MOST ("tends to"): held in more than half of the cells; not held where the reverse holds in half or more.
+- MIXED: held where at least one cell goes up and one down; not held where all are decided the same way.
+- TOGETHER: judged once, on the policies of all cells; for controls: entries keep one mean per policy of them.
+
+Cells that are missing or were not measured are left out of this and counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+# What more of is better, +1 or -1; D(alpha) is "better" wider, attention entropy lower.
+ORIENTATION: dict[str, int] = {
+    "fid_delta": 1,
+    "fid_plus": 1,
+    "fid_minus": -1,
+    "gef": -1,
+    "budgeted_fidelity": 1,
+    "renorm_budgeted_fidelity": 1,
+    "comm_fid_delta": 1,
+    "comm_fid_plus": 1,
+    "comm_fid_minus": -1,
+    "comm_gef": -1,
+    "comm_budgeted_fidelity": 1,
+    "behavioural_fidelity": 1,
+    "mask_mass": 1,
+    "attention_distance": 1,
+    "attention_entropy": -1,
+    "reward": 1,
+    "success_rate": 1,
+    "no_agent_collision": 1,
+    "no_object_collision": 1,
+    "makespan": -1,
+}
+
+# Metrics that every explainer's entry has alike.
+OF_THE_POLICY = (
+    "attention_distance", "attention_entropy", "reward", "success_rate", "no_agent_collision",
+    "no_object_collision", "makespan",
+)  # fmt: skip
+
+
+class Quantifier(StrEnum):
+    EVERY = "every cell"
+    MOST = "most cells"
+    MIXED = "mixed"
+    TOGETHER = "all policies together"
+
+
+class Relation(StrEnum):
+    BETTER = "better"  # a above b
+    NO_WORSE = "no worse"  # a not below b by more than the margin
+    SAME = "same"  # a and b within the margin
+
+
+class Combine(StrEnum):
+    """How the contrasts of one cell make its verdict."""
+
+    ALL = "all"
+    ANY = "any"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Where a statement is judged. None leaves a field to the terms."""
+
+    task: str
+    n_trained: int
+    more: int | None = 0  # agents more than in training
+    percent: int | None = None  # of training; None is the finished policy
+    regularised: bool | None = None
+
+    @property
+    def label(self) -> str:
+        parts = [self.task.removeprefix("blind_").removesuffix("_v0"), f"N = {self.n_trained}"]
+        if self.more:
+            parts.append(f"tested with {self.n_trained + self.more}")
+        if self.percent is not None:
+            parts.append(f"{self.percent} % of training")
+        if self.regularised is not None:
+            parts.append("with the term" if self.regularised else "without the term")
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class Term:
+    """One set of episodes: an explainer on the policies of a cell. What is set here overrides the cell."""
+
+    explainer: str
+    regularised: bool | None = None
+    percent: int | None = None
+    more: int | None = None
+
+
+@dataclass(frozen=True)
+class Side:
+    """A term, or by how much one term is above another: an improvement, a lead."""
+
+    term: Term
+    minus: Term | None = None
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        return (self.term,) if self.minus is None else (self.term, self.minus)
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """a is better than b on the metric (BETTER); or the other relations."""
+
+    metric: str
+    a: Side
+    b: Side
+    relation: Relation = Relation.BETTER
+    margin: float = 0.0  # in units of the metric; of NO_WORSE and SAME
+
+    @property
+    def label(self) -> str:
+        """What is compared, without the metric where it is the policy's."""
+        (a, b), names = (self.a, self.b), {term.explainer for side in (self.a, self.b) for term in side.terms}
+        if self.metric in OF_THE_POLICY:
+            return f"{_condition(a.term)} against {_condition(b.term)}"
+        if len(names) == 1 and a.minus is None and b.minus is None:
+            return f"{a.term.explainer} {_condition(a.term)} against {_condition(b.term)}"
+        return f"{_named(a)} against {_named(b)}"
+
+
+def _condition(term: Term) -> str:
+    parts = []
+    if term.regularised is not None:
+        parts.append("with the term" if term.regularised else "without")
+    if term.percent is not None:
+        parts.append(f"at {term.percent} % of training")
+    if term.more is not None:
+        parts.append(f"with {term.more} agents more")
+    return ", ".join(parts)
+
+
+def _named(side: Side) -> str:
+    label = " ".join(filter(None, (side.term.explainer, _condition(side.term))))
+    if side.minus is None:
+        return label
+    less = " ".join(filter(None, (side.minus.explainer, _condition(side.minus))))
+    return f"({label} minus {less})"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One statement of the paper and its place."""
+
+    id: str
+    lines: str  # of paper.tex
+    section: str
+    text: str
+    cells: tuple[Cell, ...]
+    contrasts: tuple[Contrast, ...]
+    quantifier: Quantifier = Quantifier.MOST
+    combine: Combine = Combine.ALL
+
+    def __post_init__(self) -> None:
+        for contrast in self.contrasts:
+            assert contrast.metric in ORIENTATION, contrast.metric
+            assert (contrast.relation is Relation.BETTER) == (contrast.margin == 0.0), self.id
+
+
+# The explainers of the paper by registered name: the paper's GraphMask is that of torch_geometric.
+ATTENTION, GNN, GRAPHMASK = "attention", "gnn_explainer", "graphmask-pyg"
+PAPER_EXPLAINERS = (ATTENTION, GNN, GRAPHMASK)
+# The same three in variants that the paper did not have: attention divided by its row maximum, GNNExplainer
+# tuned, GraphMask as its own paper describes it.
+MENDED = {ATTENTION: "attention-rowmax", GNN: "gnn_explainer-tuned", GRAPHMASK: "graphmask"}
+
+# 0.02 is 1 % of the range of an action, [-1, 1]: the change that the leaderboard's gate calls none.
+FIDELITY_MARGIN = 0.02
+RATE_MARGIN = 0.05  # of a success or collision rate
+
+
+def beats(
+    better: str, worse: str, metric: str, *, regularised: bool | None = None, more: int | None = None
+) -> Contrast:
+    """One explainer above another on the same policies."""
+    return Contrast(
+        metric, Side(Term(better, regularised, more=more)), Side(Term(worse, regularised, more=more))
+    )
+
+
+def improves(explainer: str, metric: str) -> Contrast:
+    """The explainer on regularised policies above itself on unregularised ones."""
+    return Contrast(metric, Side(Term(explainer, True)), Side(Term(explainer, False)))
+
+
+def worsens(explainer: str, metric: str) -> Contrast:
+    return Contrast(metric, Side(Term(explainer, False)), Side(Term(explainer, True)))
+
+
+def unmoved(explainer: str, metric: str, margin: float = FIDELITY_MARGIN) -> Contrast:
+    """Regularised and unregularised policies alike."""
+    return Contrast(metric, Side(Term(explainer, True)), Side(Term(explainer, False)), Relation.SAME, margin)
+
+
+def keeps(metric: str, margin: float, explainer: str = ATTENTION) -> Contrast:
+    """The regularised policies no worse. Task metrics are the policy's: any explainer's entry has them."""
+    return Contrast(
+        metric, Side(Term(explainer, True)), Side(Term(explainer, False)), Relation.NO_WORSE, margin
+    )
+
+
+def improves_more(one: str, other: str, metric: str) -> Contrast:
+    """The term helps one explainer by more than another."""
+    return Contrast(
+        metric, Side(Term(one, True), Term(one, False)), Side(Term(other, True), Term(other, False))
+    )

@@ -1,0 +1,154 @@
+"""docs/findings.md: what holds of the paper's conclusions, in sentences with their numbers.
+
+    python -m xmarl_bench.study.findings study/main study/training study/zero-shot
+
+Reads results.json of each folder and writes docs/findings.json, the small file that is committed, and
+docs/findings.md, which is a function of it. No number and no verdict is typed.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from jinja2 import Environment, StrictUndefined
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.files import write_atomically, write_json
+from xmarl_bench.study.ledger import Verdict
+from xmarl_bench.study.results import SCHEMA
+from xmarl_bench.study.tables import (
+    METRIC_NAMES,
+    decisive,
+    difference,
+    lens_table,
+    p_value,
+    performance_table,
+)
+
+Json = dict[str, Any]
+TEMPLATE = Path(__file__).with_name("findings.md.jinja")
+DATA, PAGE = "findings.json", "findings.md"
+KEPT = ("schema", "study", "title", "protocol", "policies", "missing", "performance")
+CONTRAST = (
+    "metric", "relation", "compares", "a_mean", "b_mean", "difference", "interval", "p_adjusted", "effect",
+    "n_policies", "n_episodes", "verdict",
+)  # fmt: skip
+
+
+def findings_of(results: Json) -> Json:
+    """What the page needs of a study's results: no values cell by cell."""
+    return {
+        **{name: results[name] for name in KEPT},
+        "ledger": [_brief(claim) for claim in results["ledger"]],
+        "beyond": [_brief(claim) for claim in results["beyond"]],
+        "lenses": [
+            {**lens, "claims": [_brief(claim) for claim in lens["claims"]]} for lens in results["lenses"]
+        ],
+    }
+
+
+def page_of(findings: list[Json]) -> str:
+    """The Markdown page of some studies."""
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    environment.filters.update(sentence=sentence, numbers=numbers)
+    studies = [
+        {
+            **each,
+            "groups": [(v.value, [c for c in each["ledger"] if c["verdict"] == v]) for v in Verdict],
+            "survival": survival(each),
+            "lens_table": lens_table(each).markdown(),
+            "performance_table": performance_table(each).markdown(),
+            "gated": [policy for policy in each["policies"] if policy["gate"]],
+        }
+        for each in findings
+    ]
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(studies=studies)
+
+
+def survival(findings: Json) -> list[Json]:
+    """Each statement that held as in the paper: the lenses under which it held, was reversed, stayed open."""
+    records = []
+    for claim in findings["ledger"]:
+        seen = [
+            (lens["name"], each)
+            for lens in findings["lenses"]
+            for each in lens["claims"]
+            if each["id"] == claim["id"] and each["verdict"] != Verdict.NOT_MEASURED
+        ]
+        if claim["verdict"] != Verdict.HELD or not seen:
+            continue
+        by = {v: [pair for pair in seen if pair[1]["verdict"] == v] for v in Verdict}
+        records.append(
+            {
+                "claim": claim,
+                "n": len(seen),
+                "held": by[Verdict.HELD],
+                "reversed": by[Verdict.NOT_HELD],
+                "open": by[Verdict.NOT_DECIDED],
+            }
+        )
+    return records
+
+
+def sentence(claim: Json) -> str:
+    """The statement, where it stands, and its numbers."""
+    place = "" if claim["lines"] == "-" else f"line {claim['lines']}; "
+    return f"{claim['text']} ({place}asked of {claim['quantifier']}): {numbers(claim)}."
+
+
+def numbers(claim: Json) -> str:
+    """Cells of each verdict, and over all policies the comparison that the verdict hangs on."""
+    counts, shown = claim["counts"], decisive(claim)
+    n = sum(counts.values())
+    parts = [f"{counts[verdict]} {word}" for verdict, word in _COUNTED if counts[verdict]]
+    text = f"of {n} cell{'s' if n > 1 else ''} {', '.join(parts)}"
+    if shown["difference"] is None:
+        return text
+    return (
+        f"{text}; {METRIC_NAMES[shown['metric']]} of {shown['compares']} {difference(shown)}, "
+        f"effect {shown['effect']:+.2f}, p {p_value(shown)}, {shown['n_policies']} policies"
+    )
+
+
+_COUNTED = (
+    ("held", "held"), ("not held", "the reverse"), ("not decided", "not decided"),
+    ("not measured", "not measured"),
+)  # fmt: skip
+
+
+def _brief(claim: Json) -> Json:
+    kept = {
+        name: claim[name] for name in ("id", "lines", "section", "text", "quantifier", "verdict", "counts")
+    }
+    return {**kept, "overall": [{name: each[name] for name in CONTRAST} for each in claim["overall"]]}
+
+
+def read_results(folder: Path) -> Json:
+    """results.json of a study's folder. Raises InputError."""
+    path = folder / "results.json"
+    try:
+        results: Json = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read ({error}): run `xmarl-bench study` first.") from None
+    if results.get("schema") != SCHEMA:
+        raise InputError(f"{path} is of schema {results.get('schema')}, not {SCHEMA}: run the study again.")
+    return results
+
+
+def main(
+    folders: Annotated[list[Path], typer.Argument(help="Folders of studies, in the order of the page.")],
+    out: Annotated[Path, typer.Option(help="Where findings.json and findings.md go.")] = Path("docs"),
+) -> None:
+    """Write the findings of some studies."""
+    findings = [findings_of(read_results(folder)) for folder in folders]
+    write_json(out / DATA, findings)
+    write_atomically(out / PAGE, page_of(json.loads((out / DATA).read_bytes())).encode())
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -323,6 +323,8 @@ def parse_entry(data: bytes) -> Entry:
         raise ValueError(f"is not an entry: {first['msg']} at {where}") from None
     if entry_id(entry) != entry.entry_id:
         raise ValueError("was changed after it was written (its entry_id does not fit): score it again")
+    if canonical_json(value) != canonical_json(entry.model_dump(mode="json")):
+        raise ValueError("is not written as entries are (a key left out, 1 for 1.0): score it again")
     return entry
 
 

@@ -59,6 +59,9 @@ def check(path: Path) -> Checked:
             _check_entry(checked, path.name, _read(path))
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}).") from None
+    if not checked.findings:  # what costs the most is asked last, of rows that are rows
+        for name, entry in checked.entries.items():
+            _add(checked, name, recompute_findings(entry))
     return checked
 
 
@@ -83,10 +86,7 @@ def _check_entry(checked: Checked, file: str, data: bytes) -> Entry | None:
         checked.findings.append(f"{file}: it {error}.")
         return None
     checked.entries[file] = entry
-    before = len(checked.findings)
     _add(checked, file, entry_findings(entry))
-    if len(checked.findings) == before:  # else the rows may not be ones to take means of
-        _add(checked, file, recompute_findings(entry))
     return entry
 
 

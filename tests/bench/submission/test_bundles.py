@@ -1,0 +1,179 @@
+"""A bundle that `submit` packed is valid, whole, and the same bytes each time; any edit of it is found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.bench.submission.conftest import LICENCE, Pack
+from tests.bench.submission.edits import Edit, edited, with_entry, with_manifest
+from tests.conftest import RunCli
+from xmarl_bench.entry import Entry, read_entry, write_entry
+from xmarl_bench.files import pretty_json
+from xmarl_bench.submission.archive import MANIFEST
+from xmarl_bench.submission.checking import check
+from xmarl_bench.submission.schema import PUBLISHED, schema
+
+ROOT = Path(__file__).parents[3]
+
+
+def rows(value: dict[str, Any]) -> Any:
+    return value["results"][0]["episodes"]
+
+
+def controls(value: dict[str, Any]) -> Any:
+    return value["results"][0]["controls"]
+
+
+def swap(of: Any, one: Any, other: Any) -> None:
+    of[one], of[other] = of[other], of[one]
+
+
+def test_zip_and_folder_hold_the_same_and_are_valid(files: Mapping[str, bytes], pack: Pack) -> None:
+    for name in ("bundle.zip", "bundle"):
+        checked = check(pack(files, name))
+        assert checked.findings == []
+        assert sorted(checked.entries) == sorted(name for name in files if name.startswith("entries/"))
+        assert list(checked.policies) == ["small"]
+    assert pack(files, "again.zip").read_bytes() == pack(files, "more.zip").read_bytes()
+
+
+def test_submit_packs_what_validate_accepts_and_overwrites_nothing(
+    tmp_path: Path, entries: list[Entry], policy_folder: Path, run_cli: RunCli
+) -> None:
+    entry = write_entry(tmp_path, entries[0])
+    (tmp_path / "LICENSE").write_bytes(LICENCE)
+    out = tmp_path / "mine.zip"
+    arguments = ["submit", entry, "--submitter", "me", "--licence", tmp_path / "LICENSE", "--out", out,
+                 "--policy", policy_folder, "--code", "https://example.org/code"]  # fmt: skip
+    ran = run_cli(*arguments)
+    assert (ran.code, ran.err) == (0, "")
+    (packed,) = check(out).entries.values()
+    assert (packed.submitter, packed.explainer.code) == ("me", "https://example.org/code")
+    assert packed.results == entries[0].results
+    assert run_cli("validate", out).code == 0
+    before = out.read_bytes()
+    again = run_cli(*arguments)
+    assert again.code == 2
+    assert "exists" in again.err
+    assert out.read_bytes() == before
+
+
+def test_submit_refuses_what_would_be_refused_and_writes_nothing(
+    tmp_path: Path, entries: list[Entry], policy_folder: Path, run_cli: RunCli
+) -> None:
+    tampered = edited(entries[0], lambda value: rows(value)[0].update(length=9, timesteps=9, makespan=9.0))
+    entry = write_entry(tmp_path, tampered)
+    (tmp_path / "LICENSE").write_bytes(LICENCE)
+    ran = run_cli("submit", entry, "--submitter", "me", "--licence", tmp_path / "LICENSE", "--out",
+                  tmp_path / "x.zip", "--policy", policy_folder)  # fmt: skip
+    assert ran.code == 1
+    assert "length 9 is more than max_cycles 8" in ran.out
+    assert not (tmp_path / "x.zip").exists()
+
+
+def test_validate_exits_0_1_2(tmp_path: Path, entries: list[Entry], run_cli: RunCli) -> None:
+    good = write_entry(tmp_path / "good", entries[0])
+    bad = tmp_path / "bad.json"
+    bad.write_bytes(good.read_bytes().replace(b'"somebody"', b'"somebody else"'))
+    assert run_cli("validate", good, tmp_path / "good").code == 0
+    ran = run_cli("validate", good, bad)
+    assert ran.code == 1
+    assert ran.out.splitlines()[1].startswith(f"{bad}: bad.json: it was changed after it was written")
+    ran = run_cli("validate", tmp_path / "none.json", good)
+    assert ran.code == 2
+    assert ran.err.count("\n") == 1
+
+
+FOUND: list[tuple[str, Edit]] = [
+    ("definitions", lambda v: v["protocol"]["definitions"].update(gef="something else")),
+    ("seeds are not those", lambda v: swap(v["protocol"]["seeds"], 0, 1)),
+    ("one for each of the 7 seeds", lambda v: rows(v).pop()),
+    ("one for each of the 7 seeds", lambda v: swap(rows(v), 0, 1)),
+    ("explained_timesteps", lambda v: v["cost"].update(explained_timesteps=1)),
+    ("a cell twice", lambda v: v["results"].append(v["results"][0])),
+    ("the policy is one for", lambda v: v["results"][0].update(task="blind_navigation_v0")),
+    ("takes 1 to 5 agents", lambda v: v["results"][0].update(n_agents=9)),
+    ("there is no task", lambda v: v["results"][0].update(task="blind_flight_v0")),
+    ("which is no metric", lambda v: v["results"][0]["not_measured"].update(charm="unseen")),
+    ("behaviour_episodes is 0", lambda v: v["results"][0].update(behaviour_episodes=0)),
+    ("behaviour_episodes is 8", lambda v: v["results"][0].update(behaviour_episodes=8)),
+    ("success_on_explanation has a value", lambda v: rows(v)[5].update(success_on_explanation=1.0)),
+    ("weight_randomisation has a value", lambda v: rows(v)[6].update(weight_randomisation=0.5)),
+    ("makespan", lambda v: rows(v)[2].update(makespan=7.0)),
+    ("neither 0 nor 1", lambda v: rows(v)[2].update(no_agent_collision=0.5)),
+    ("no fraction of 3", lambda v: rows(v)[2].update(success_rate=0.5)),
+    ("more than log 3", lambda v: rows(v)[2].update(attention_entropy=1.2)),
+    ("is not fid_plus - fid_minus", lambda v: rows(v)[2].update(fid_plus=rows(v)[2]["fid_plus"] + 0.01)),
+    ("not the mean of", lambda v: rows(v)[2].update(comm_topk_fid_delta=0.0)),
+    ("budgeted_fidelity", lambda v: rows(v)[2].update(budgeted_fidelity=0.999)),
+    ("budget is not for 1 to 2 edges", lambda v: swap(rows(v)[2], "budget", "comm_budget")),
+    ("the rows give", lambda v: rows(v)[2].update(gef=rows(v)[2]["gef"] / 2)),
+    ("the rows give", lambda v: v["results"][0]["metrics"]["gef"].update(value=0.123)),
+    ("the rows give", lambda v: swap(v["results"][0]["metrics"], "gef", "comm_gef")),
+    ("controls are", lambda v: controls(v).pop("zeros")),
+    ("for that mask", lambda v: swap(controls(v), "zeros", "all-ones")),
+    ("for that mask", lambda v: swap(controls(v), "inverted", "random")),
+    ("contradicts what was measured", lambda v: controls(v)["self"].update(gef=None)),
+    ("is of 8 episodes", lambda v: controls(v)["self"]["gef"].update(n_nan=1)),
+    ("out of its range", lambda v: controls(v)["random"]["gef"].update(value=1.5, interval=[1.0, 2.0])),
+    ("not in its interval", lambda v: controls(v)["random"]["gef"].update(value=0.001, interval=[0.1, 0.2])),
+    ("more than the oracle's", lambda v: controls(v)["oracle"].update(controls(v)["random"])),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("said", "edit"), FOUND)
+def test_numbers_that_do_not_fit_one_another_are_found(
+    said: str, edit: Edit, entries: list[Entry], files: Mapping[str, bytes], pack: Pack
+) -> None:
+    """The id, the rows and the checksums were made to fit, so that is what is found."""
+    tampered = edited(entries[0], edit)
+    findings = check(pack(with_entry(files, tampered), "x")).findings
+    assert any(said in finding for finding in findings), findings
+    assert all("\n" not in finding and finding.endswith(".") for finding in findings)
+
+
+def test_each_file_of_a_bundle_is_held_to_the_others(
+    files: Mapping[str, bytes], entries: list[Entry], pack: Pack
+) -> None:
+    name = entries[0].file_name
+    csv = f"rows/{name.removesuffix('.json')}.csv"
+    verified = entries[0].model_dump(mode="json") | {"verification": {"status": "re-executed"}}
+    cases: dict[str, dict[str, bytes]] = {
+        "does not list README.md": {**files, "README.md": b"hello"},
+        "which the bundle does not hold": {key: data for key, data in files.items() if key != csv},
+        "is not that of the file": {**files, "LICENSE": b"Nobody may use this.\n"},
+        "LICENSE: it is missing": with_manifest({k: v for k, v in files.items() if k != "LICENSE"}),
+        "manifest.json: it is missing": {k: v for k, v in files.items() if k != MANIFEST},
+        "other rows than the entry": with_manifest({**files, csv: files[csv].replace(b",8,", b",7,", 1)}),
+        "rows/*.csv is missing": with_manifest({k: v for k, v in files.items() if k != csv}),
+        "its name should be": with_manifest({**files, "entries/other.json": files[f"entries/{name}"]}),
+        "no entry that it belongs to": with_manifest({**files, "rows/other.csv": files[csv]}),
+        "its policy is missing": with_manifest({k: v for k, v in files.items() if "policies" not in k}),
+        "it holds no entry": with_manifest({k: v for k, v in files.items() if "entries" not in k}),
+        "no entry is of this policy": with_manifest(
+            {**files, "policies/other/policy.json": files["policies/small/policy.json"]}
+        ),
+        "leave it out": with_manifest({**files, f"entries/{name}": pretty_json(verified)}),
+    }
+    for k, (said, changed) in enumerate(cases.items()):
+        findings = check(pack(changed, f"{k}.zip")).findings
+        assert any(said in finding for finding in findings), (said, findings)
+
+
+def test_published_schemas_are_those_of_the_code() -> None:
+    for name, model in PUBLISHED.items():
+        published = json.loads((ROOT / "leaderboard" / name).read_text())
+        assert published == schema(model), "run `python -m xmarl_bench.submission.schema leaderboard`"
+
+
+def test_the_shipped_board_holds_valid_entries_only() -> None:
+    paths = sorted((ROOT / "leaderboard" / "entries").glob("*.json"))
+    assert paths
+    for path in paths[:: max(1, len(paths) // 5)]:
+        assert check(path).findings == []
+        assert path.name == read_entry(path).file_name

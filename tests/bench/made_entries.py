@@ -1,0 +1,138 @@
+"""Entries whose numbers are drawn, not measured: as many as a board's test needs, in milliseconds each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from tests.policies import small_policy
+from xmarl_bench.controls import CONTROLS, INVERTED
+from xmarl_bench.entry import (
+    BehaviourRow,
+    BudgetRow,
+    CellResult,
+    ControlMetrics,
+    Cost,
+    Entry,
+    EpisodeRow,
+    ExplainerRecord,
+    ExplanationRow,
+    Metrics,
+    PolicyRecord,
+    Protocol,
+    Provenance,
+    Summary,
+    make_entry,
+)  # fmt: skip
+from xmarl_bench.protocol import DEFINITIONS
+from xmarl_bench.reproducible import derived_seed, episode_seeds
+
+SHARES = (*ExplanationRow.model_fields, *BehaviourRow.model_fields, "seed_stability", "weight_randomisation",
+          "attention_entropy", "attention_distance")  # fmt: skip
+ARCHITECTURE = small_policy(6).architecture
+
+
+def made_entry(
+    policy: str,
+    explainer: str,
+    level: float,
+    *,
+    task: str = "blind_navigation_v0",
+    n_agents: int = 3,
+    attention_entropy: float = 0.0,
+    episodes: int = 50,
+    control: bool = False,
+    submitter: str | None = None,
+    **constant: float | None,
+) -> Entry:
+    """Metrics of an episode are `level`, up to 0.1 off and in [0, 1]; `constant` names those that are not.
+
+    The draws depend on the names alone; budgets rise from 0 to `level`, between 0 and 1.
+    """
+    rng = np.random.default_rng(derived_seed("made", policy, explainer, task, n_agents))
+    seeds = episode_seeds(0, episodes)
+    rows = tuple(_row(seed, level, n_agents, constant, rng) for seed in seeds)
+    metrics = {name: _summary([getattr(row, name) for row in rows]) for name in Metrics.model_fields}
+    shared = {name: _summary([0.1] * episodes) for name in ControlMetrics.model_fields}
+    result = CellResult(
+        task=task,
+        n_agents=n_agents,
+        max_cycles=100,
+        metrics=Metrics.model_validate(metrics),
+        not_measured={"no_object_collision": "the task has no walls"},
+        controls={name: ControlMetrics.model_validate(shared) for name in (*CONTROLS, INVERTED)},
+        behaviour_episodes=episodes,
+        episodes=rows,
+    )
+    return make_entry(
+        submitter=submitter,
+        policy=PolicyRecord(
+            name=policy,
+            task=task,
+            n_agents=n_agents,
+            weights_sha256=f"{derived_seed(policy):064x}",
+            architecture=ARCHITECTURE,
+            attention_entropy=attention_entropy,
+            training_seed=0,
+        ),
+        explainer=ExplainerRecord(
+            name=explainer, distribution="made", version="1", entry_point=f"made:{explainer}",
+            hyperparameters={"level": level}, stochastic=False, control=control, seed=0,
+        ),
+        protocol=Protocol(episodes=episodes, seeds=tuple(seeds), timesteps=None, definitions=DEFINITIONS),
+        results=(result,),
+        cost=Cost(explain_seconds_per_timestep=0.001, explained_timesteps=100,
+                  shared_seconds_per_timestep=0.001, behaviour_seconds=1.0),
+        provenance=Provenance(
+            harness_version="0", commit=None, dirty=None, packages={}, python="3.11", os="none",
+            machine="none", cpu="none", cpu_capability="none", threads=1, jobs=1, command="made",
+            started="2026-01-01T00:00:00Z", finished="2026-01-01T00:00:00Z",
+        ),
+    )  # fmt: skip
+
+
+def made_board(policies: Sequence[str], explainers: dict[str, float]) -> Iterator[Entry]:
+    """Every explainer, with its level, on every policy; every second policy is a regularised one."""
+    for k, policy in enumerate(policies):
+        for explainer, level in explainers.items():
+            yield made_entry(policy, explainer, level, n_agents=3 + k % 3, attention_entropy=0.5 * (k % 2))
+
+
+def _row(
+    seed: int, level: float, n_agents: int, constant: dict[str, float | None], rng: np.random.Generator
+) -> EpisodeRow:
+    values = np.clip(level + rng.uniform(-0.1, 0.1, len(SHARES)), 0.0, 1.0).tolist()
+    drawn = dict(zip(SHARES, values, strict=True))
+    drawn |= {"success_rate": 0.9, "no_agent_collision": 1.0, "communication_dependence": 0.5}
+    return EpisodeRow.model_validate(
+        {
+            **drawn,
+            "seed": seed,
+            "length": 50,
+            "timesteps": 50,
+            "budget": _budget(level, n_agents - 1),
+            "comm_budget": _budget(level, n_agents - 2),
+            "reward": 1.0,
+            "no_object_collision": None,
+            "makespan": 50.0,
+            **constant,
+        }
+    )
+
+
+def _budget(level: float, most: int) -> BudgetRow:
+    def line(height: float) -> tuple[float, ...]:
+        return tuple(height * (k + 1) / most for k in range(most))
+
+    return BudgetRow(explained=line(level), random=line(0.0), oracle=line(1.0))
+
+
+def _summary(values: Sequence[float | None]) -> Summary | None:
+    """With a normal interval: a bootstrap of every metric would take most of a test's time."""
+    numbers = [value for value in values if value is not None]
+    if not numbers:
+        return None
+    mean, spread = float(np.mean(numbers)), 1.96 * float(np.std(numbers)) / len(numbers) ** 0.5
+    interval = (mean - spread, mean + spread)
+    return Summary(value=mean, interval=interval, n=len(numbers), n_nan=len(values) - len(numbers))

@@ -39,9 +39,10 @@ def read_file(path: Path, max_bytes: int) -> bytes:
     except OSError as error:
         why = "it is a symbolic link" if path.is_symlink() else str(error.strerror)
         raise InputError(f"{path} cannot be read ({why}): give the folder of a policy.") from None
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise InputError(f"{path} is no regular file: give the folder of a policy.")
     with os.fdopen(handle, "rb") as file:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise InputError(f"{path} is no regular file: give the folder of a policy.")
         data = file.read(max_bytes + 1)
     if len(data) > max_bytes:
         raise InputError(f"{path} is larger than {max_bytes} bytes: that is no policy of this format.")
@@ -58,6 +59,8 @@ def _from_zip(path: Path, name: str) -> bytes:
                 if member.filename == name:
                     with archive.open(member) as file:  # its declared size is only a claim
                         data = file.read(MAX_BYTES[name] + 1)
+    except InputError:
+        raise
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}): give a policy's bundle.") from None
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, zlib.error) as error:

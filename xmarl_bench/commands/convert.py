@@ -25,9 +25,7 @@ def convert(
     ] = None,
     key_map: Annotated[
         Path | None,
-        typer.Option(
-            help="JSON object: beginning of a tensor's name there -> here, null to leave it out."
-        ),
+        typer.Option(help="JSON object: beginning of a tensor's name there -> here, null to leave it out."),
     ] = None,
     attention_entropy: Annotated[
         float, typer.Option(help="Weight lambda of the attention-entropy term in training.")

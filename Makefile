@@ -9,9 +9,9 @@ export OMP_NUM_THREADS ?= 1
 # to act on an explanation asks for one at every step. `make score ALL=1` takes every explainer, the slow ones (PyG's
 # own GraphMask, bugs included) on 3 timesteps of each episode, and lets the team play on all that are not slow.
 ifdef ALL
-SCORE_OPTIONS ?= --explainer all --slow-timesteps 3
+SCORE_OPTIONS ?= --policy all --explainer all --slow-timesteps 3
 else
-SCORE_OPTIONS ?= --explainer attention --explainer gnn_explainer --explainer graphmask \
+SCORE_OPTIONS ?= --policy default --explainer attention --explainer gnn_explainer --explainer graphmask \
 	--no-behaviour gnn_explainer --no-behaviour graphmask
 endif
 
@@ -28,8 +28,8 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
-score: $(STAMP)  ## Score every shipped policy with three explainers and all controls; ALL=1: with every explainer
-	$(BIN)/xmarl-bench score --policy all --jobs 2 $(SCORE_OPTIONS)
+score: $(STAMP)  ## Score each cell's best policy with three explainers and all controls; ALL=1: every policy and explainer
+	$(BIN)/xmarl-bench score --jobs 2 $(SCORE_OPTIONS)
 
 test: lint type  ## Run all checks: lint, types and the whole test suite
 	$(BIN)/python -m pytest --numprocesses 2

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from xmarl_envs import TASKS
 
 from xmarl_bench.controls import CONTROLS
+from xmarl_bench.default_policies import default_policies
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.policy.bundle import load_card
@@ -15,15 +16,15 @@ from xmarl_bench.registry import (
     FoundExplainer,
     check_task,
     explainer_names,
-    find_explainer,
     find_code_policies,
+    find_explainer,
     find_policies,
     open_policy,
     unknown,
 )
 from xmarl_bench.request import Cell, Request, Sampling, check_fit
 
-ALL = "all"
+ALL, DEFAULT = "all", "default"
 
 
 def select_policies(
@@ -32,18 +33,21 @@ def select_policies(
     """The policies to run, each with its cells.
 
     `all` policies are those trained for one of the tasks and team sizes asked for; those that bring code are
-    among them with `trust_code` only. A policy asked for by name, bundle or module:factory runs with every
-    team size asked for, or with its own where that is `all`.
+    among them with `trust_code` only. `default` is the best seed of each of their cells. A policy asked for
+    by name, bundle or module:factory runs with every team size asked for, or with its own where that is `all`.
     """
     sizes = _sizes(agents)
     for task in tasks:
         if task != ALL:
             check_task(task)
     wanted_tasks = list(TASKS) if ALL in tasks else list(tasks)
-    if ALL in names:
+    if ALL in names or DEFAULT in names:
         cards = {name: load_card(folder) for name, folder in find_policies().items()}
         if trust_code:
             cards |= {name: open_policy(name, trust_code=True)[1] for name in find_code_policies()}
+        if ALL not in names:
+            best = [card.name for card in default_policies(cards.values())]
+            cards = {name: card for name, card in cards.items() if card.name in best}
         chosen = [
             name
             for name, card in cards.items()

@@ -19,6 +19,7 @@ import typer
 from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.reference import EPISODES
+from xmarl_bench.default_policies import is_final, worth
 from xmarl_bench.evaluation import Performance, evaluate
 from xmarl_bench.files import write_atomically, write_json
 from xmarl_bench.policy import PolicyCard, load_policy
@@ -51,7 +52,7 @@ def shipped_cards() -> list[PolicyCard]:
 
 def final(cards: list[PolicyCard]) -> list[PolicyCard]:
     """Without the checkpoints along training."""
-    return [card for card in cards if "percent" not in card.training]
+    return [card for card in cards if is_final(card)]
 
 
 def cell_rows(cards: list[PolicyCard]) -> list[Row]:
@@ -61,7 +62,7 @@ def cell_rows(cards: list[PolicyCard]) -> list[Row]:
         cells[card.task, card.n_agents, card.attention_entropy > 0].append(card)
     rows: list[Row] = []
     for (task, n_agents, regularised), group in sorted(cells.items()):
-        best = max(group, key=success)
+        best = max(group, key=worth)
         row: Row = {"task": task, "agents": n_agents, "lambda": best.attention_entropy, "seeds": len(group)}
         for title, name in MEASURES.items():
             theirs = PAPER[task, n_agents].get(name)
@@ -77,13 +78,6 @@ def cell_rows(cards: list[PolicyCard]) -> list[Row]:
         row["best seed"] = best.name
         rows.append(row)
     return rows
-
-
-def success(card: PolicyCard) -> tuple[float, float]:
-    """What the best seed of a cell is chosen by: success to two digits, then fewer collisions."""
-    heard = card.performance["with_messages"]
-    free = [heard[name] for name in ("no_agent_collision", "no_object_collision") if heard[name] is not None]
-    return round(heard["success_rate"], 2), sum(free)
 
 
 def policy_rows(cards: list[PolicyCard]) -> list[Row]:

@@ -13,10 +13,17 @@ Agents = Annotated[
 Policies = Annotated[
     list[str],
     typer.Option(
-        "--policy", help="Policy name, folder or zip of a bundle, module:factory, or 'all'. Repeatable."
+        "--policy",
+        help="Policy name, folder or zip of a bundle, module:factory, 'all', or 'default': the best seed of "
+        "each task, team size and with or without regulariser. Repeatable.",
     ),
 ]
-Explainers = Annotated[list[str], typer.Option("--explainer", help="Explainer name, or 'all'. Repeatable.")]
+Explainers = Annotated[
+    list[str],
+    typer.Option(
+        "--explainer", help="Explainer name, path/to/file.py:Name, module:Name, or 'all'. Repeatable."
+    ),
+]
 Episodes = Annotated[int, typer.Option(help="Episodes per policy.")]
 MaxCycles = Annotated[int | None, typer.Option(help="Steps per episode; the task's own number by default.")]
 Seed = Annotated[int, typer.Option(help="Chooses the episodes, and seeds the explainers.")]

@@ -25,7 +25,7 @@ from xmarl_bench.commands.options import (
 def score(
     task: Tasks = ["all"],  # noqa: B006
     agents: Agents = ["all"],  # noqa: B006
-    policy: Policies = ["all"],  # noqa: B006
+    policy: Policies = ["default"],  # noqa: B006
     explainer: Explainers = ["all"],  # noqa: B006
     episodes: Episodes = 50,
     timesteps: Annotated[

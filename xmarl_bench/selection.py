@@ -34,7 +34,7 @@ def select_policies(
 
     `all` policies are those trained for one of the tasks and team sizes asked for; those that bring code are
     among them with `trust_code` only. `default` is the best seed of each of their cells. A policy asked for
-    by name, bundle or module:factory runs with every team size asked for, or with its own where that is `all`.
+    by name, bundle or module:factory runs with every team size asked for, or with its own for `all`.
     """
     sizes = _sizes(agents)
     for task in tasks:

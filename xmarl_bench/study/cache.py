@@ -21,9 +21,12 @@ from xmarl_bench.entry import SCHEMA_VERSION, Entry, read_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import canonical_json, write_json
 from xmarl_bench.protocol import DEFINITIONS, PROTOCOL
+from xmarl_bench.provenance import package_version
 from xmarl_bench.registry import FoundExplainer
 from xmarl_bench.request import Request
 from xmarl_bench.scoring import score_requests
+
+DECLARED = ("stochastic", "control", "batched", "binary", "signed", "accesses")
 
 
 @dataclass(frozen=True)
@@ -95,9 +98,10 @@ def content_key(request: Request) -> str:
             "version": found.version,
             "entry_point": found.entry_point,
             "code": code_sha256(found),
+            **{name: getattr(explainer, name) for name in DECLARED},
             "hyperparameters": dict(explainer.hyperparameters),
-            "stochastic": explainer.stochastic,
         },
+        "harness": package_version("xmarl-bench"),
         "sampling": asdict(request.sampling),
         "cells": [[asdict(cell), request.behaviours(cell)] for cell in request.cells],
     }

@@ -96,6 +96,7 @@ def draw(data: StudyData, metric: str, kind: str, explainers: Sequence[str]) -> 
         # Without dates the same entries give the same bytes.
         svg, pdf = io.StringIO(), io.BytesIO()
         canvas.savefig(svg, format="svg", transparent=True, metadata={"Date": None})
+        canvas.set_layout_engine("none")  # as laid out
         canvas.savefig(pdf, format="pdf", metadata={"CreationDate": None})
     return Figure(
         f"{metric}-{kind}",

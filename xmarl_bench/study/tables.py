@@ -35,7 +35,8 @@ METRIC_NAMES = {
     "makespan": "makespan",
 }
 ESCAPED = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$",
-           "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}  # fmt: skip
+           "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+           "<": "$<$", ">": "$>$", "\u00b1": r"$\pm$"}  # fmt: skip
 
 
 @dataclass(frozen=True)

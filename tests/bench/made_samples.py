@@ -1,0 +1,35 @@
+"""Samples whose numbers are drawn: what a study would have of three training runs in every cell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from xmarl_bench.study.claims import ORIENTATION, Cell, Term
+from xmarl_bench.study.samples import Floats, Place, Run, Samples, Scored
+
+SEEDS = (0, 1, 2)
+Level = Callable[[Cell, str, bool, str], float]  # cell, explainer, regularised, metric -> mean
+
+
+def made_samples(
+    cells: Iterable[Cell], explainers: Iterable[str], level: Level, *, episodes: int = 50, noise: float = 0.1
+) -> Samples:
+    """Every explainer on every run; the values of an episode are `level` and noise that runs share."""
+    samples, names = Samples(), list(explainers)
+    for cell in cells:
+        for seed in SEEDS:
+            rng = np.random.default_rng([seed, cell.n_trained, cell.percent or 0, cell.more or 0])
+            shared = noise * rng.standard_normal(episodes)
+            for regularised in (False, True):
+                for name in names:
+                    own = 0.1 * noise * rng.standard_normal(episodes)
+                    values: dict[str, Floats] = {
+                        metric: level(cell, name, regularised, metric) + shared + own
+                        for metric in ORIENTATION
+                    }
+                    scored = Scored(f"{cell.label} {regularised} {seed}", "0" * 64, None, values)
+                    known = samples.scored.setdefault((Place.of(cell, Term(name)), name), {})
+                    known[Run("a", 0.1 * regularised, seed)] = scored
+    return samples

@@ -7,6 +7,7 @@ import sys
 import typer
 
 from xmarl_bench.commands.board import board
+from xmarl_bench.commands.check import check
 from xmarl_bench.commands.convert import convert
 from xmarl_bench.commands.evaluate import evaluate
 from xmarl_bench.commands.list import list_
@@ -35,6 +36,7 @@ app.command()(submit)
 app.command()(validate)
 app.command()(verify)
 app.add_typer(board, name="board")
+app.add_typer(check)
 
 
 def main() -> None:

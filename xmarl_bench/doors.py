@@ -84,9 +84,7 @@ def as_explainer(thing: object = None, /, **declared: Unpack[Declared]) -> Any:
             f"policy, a class with a method explain, or an algorithm of torch_geometric.explain."
         )
     own = {key: getattr(thing, key) for key in DECLARATIONS if hasattr(thing, key)}
-    attributes: dict[str, Any] = getattr(thing, "__dict__", {})
-    settings = _scalars({key: attributes[key] for key in attributes if key not in DECLARATIONS})
-    own = {"summary": _first_line(type(thing)), "hyperparameters": settings, **own}
+    own = {"summary": _first_line(type(thing)), "hyperparameters": _settings(thing), **own}
     return _made(type(thing).__name__, explain, thing, own, declared)
 
 
@@ -166,7 +164,7 @@ def _made(
 def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explainer:
     """As it is, one graph at a time: Captum's on the effect of messages, PGExplainer trained first."""
     copies, name = Copies.of(algorithm), kebab(type(algorithm).__name__)
-    settings = {**_scalars(vars(algorithm)), **_scalars(copies.coeffs)}
+    settings = {**_settings(algorithm), **_scalars(copies.coeffs)}
     fields: dict[str, Any] = {"hyperparameters": settings, "stochastic": True, "slow": True}
     if isinstance(algorithm, AttentionExplainer):
         fields |= {"stochastic": False, "slow": False}
@@ -174,7 +172,8 @@ def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explaine
     if captum:
         method = algorithm.attribution_method_class.__name__
         name = f"captum-{kebab(method)}"
-        fields |= {"signed": True, "slow": False, "stochastic": method == "ShapleyValueSampling"}
+        repeated = method in ("IntegratedGradients", "ShapleyValueSampling")  # dozens of forward passes
+        fields |= {"signed": True, "slow": repeated, "stochastic": method == "ShapleyValueSampling"}
         fields["hyperparameters"] = _scalars(algorithm.kwargs)
     summary = f"{type(algorithm).__name__} of torch_geometric, unmodified"
     fields |= {"summary": summary, "name": name, **declared}
@@ -189,6 +188,13 @@ def kebab(name: str) -> str:
     """A name for files out of one in Python: GNNExplainer -> gnn-explainer, my_own stays."""
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name)
     return words.lower().lstrip("_<").rstrip(">")
+
+
+def _settings(thing: object) -> dict[str, Scalar]:
+    """The arguments that an object was made with, where it keeps them under their names."""
+    attributes: dict[str, Any] = getattr(thing, "__dict__", {})
+    names = inspect.signature(type(thing)).parameters
+    return _scalars({name: attributes[name] for name in names if name in attributes})
 
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, Scalar]:

@@ -73,6 +73,13 @@ def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
     PyG's algorithms keep on their class. Raises InputError, naming the explainer, for whatever goes wrong
     inside it.
     """
+    n_steps, n_agents, _ = observations.shape
+    returned = returned_by(explainer, policy, observations, seed)
+    return mask_of_explainer(explainer, returned, n_steps, n_agents)
+
+
+def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> object:
+    """As `run_explainer`, but what the explainer returned, whatever it is."""
     if explainer.fit is not None and explainer.fitted_on is None:
         raise InputError(f"explainer {explainer.name!r} has to be fitted first: see `fit_explainer`.")
     n_steps, n_agents, _ = observations.shape
@@ -80,25 +87,16 @@ def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
 
     def run(generator: torch.Generator) -> object:
         if explainer.batched:
-            return explain(_shown(explainer, policy), observations.clone(), generator)
+            return explain(seen(explainer, copy.deepcopy(policy)), observations.clone(), generator)
         seeds = torch.randint(2**62, (n_steps,), generator=generator).tolist()
         masks: list[Tensor] = []
         for x, each in zip(observations, seeds, strict=True):
-            mask = explain(_shown(explainer, policy), x.clone(), torch.Generator().manual_seed(each))
-            masks.append(_as_numbers(name, mask, (n_agents, n_agents)))
+            private, drawn = copy.deepcopy(policy), torch.Generator().manual_seed(each)
+            mask = explain(seen(explainer, private), x.clone(), drawn)
+            masks.append(as_floats(name, mask, (n_agents, n_agents)))
         return torch.stack(masks)
 
-    mask = _guarded(explainer, seed, f"observations of shape {tuple(observations.shape)}", run)
-    if explainer.signed:
-        mask = signed_to_unit(_as_numbers(name, mask, (n_steps, n_agents, n_agents)))
-    checked = checked_mask(name, mask, n_steps, n_agents)
-    if explainer.binary and bool(((checked != 0) & (checked != 1)).any()):
-        raise InputError(
-            f"explainer {name!r} declares binary masks and returned other values than 0 and 1: round them, "
-            f"or leave `binary` out."
-        )
-    adjacency = policy.adjacency(observations)
-    return checked if adjacency is None else checked * adjacency  # edges that are not there matter to nobody
+    return _guarded(explainer, seed, f"observations of shape {tuple(observations.shape)}", run)
 
 
 def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Explainer:
@@ -113,9 +111,30 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
         explainer,
         seed,
         f"{len(observations)} timesteps to be fitted on",
-        lambda generator: fit(_shown(explainer, policy), observations.clone(), generator),
+        lambda generator: fit(seen(explainer, copy.deepcopy(policy)), observations.clone(), generator),
     )
     return replace(explainer, explain=fitted, fitted_on=observations)
+
+
+def seen(explainer: Explainer, policy: Policy) -> Policy:
+    """What the explainer sees of a policy: all of it, or one that only answers."""
+    if explainer.accesses in ("black-box", "attention"):
+        return BlackBox(policy, attention=explainer.accesses == "attention")
+    return policy
+
+
+def mask_of_explainer(explainer: Explainer, mask: object, n_steps: int, n_agents: int) -> Tensor:
+    """What the explainer returned, normalised if it is signed, as a checked mask (S, N, N)."""
+    name = explainer.name
+    if explainer.signed:
+        mask = signed_to_unit(finite(name, as_floats(name, mask, (n_steps, n_agents, n_agents))))
+    checked = checked_mask(name, mask, n_steps, n_agents)
+    if explainer.binary and bool(((checked != 0) & (checked != 1)).any()):
+        raise InputError(
+            f"explainer {name!r} declares binary masks and returned other values than 0 and 1: round them, "
+            f"or leave `binary` out."
+        )
+    return checked
 
 
 def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor:
@@ -123,7 +142,7 @@ def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor
 
     Nothing is clipped, filled or reshaped: a mask that is not one is refused.
     """
-    numbers = _as_numbers(name, mask, (n_steps, n_agents, n_agents))
+    numbers = finite(name, as_floats(name, mask, (n_steps, n_agents, n_agents)))
     low, high = float(numbers.min()), float(numbers.max())
     if low < 0.0 or high > 1.0:
         raise InputError(
@@ -132,8 +151,8 @@ def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor
     return numbers.to(dtype=torch.float32, copy=True)
 
 
-def _as_numbers(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
-    """A tensor of finite floating-point numbers of the shape expected, detached."""
+def as_floats(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
+    """A detached tensor of floating-point numbers of the shape expected. Raises InputError."""
     if not isinstance(mask, Tensor):
         raise InputError(
             f"explainer {name!r} returned a {type(mask).__name__}: return a torch.Tensor of shape {expected}."
@@ -146,7 +165,11 @@ def _as_numbers(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
         raise InputError(
             f"explainer {name!r} returned a mask of {mask.dtype}: return floating-point numbers."
         )
-    mask = mask.detach()
+    return mask.detach()
+
+
+def finite(name: str, mask: Tensor) -> Tensor:
+    """The mask, of finite numbers. Raises InputError."""
     n_bad = int((~torch.isfinite(mask)).sum())
     if n_bad:
         raise InputError(
@@ -154,14 +177,6 @@ def _as_numbers(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
             f"return finite numbers in [0, 1]."
         )
     return mask
-
-
-def _shown(explainer: Explainer, policy: Policy) -> Policy:
-    """What the explainer sees of the policy: a copy, or one that only answers."""
-    private = copy.deepcopy(policy)
-    if explainer.accesses in ("black-box", "attention"):
-        return BlackBox(private, attention=explainer.accesses == "attention")
-    return private
 
 
 def _guarded(explainer: Explainer, seed: int, what: str, run: Callable[[torch.Generator], Result]) -> Result:

@@ -1,0 +1,308 @@
+"""What a referee checks of an explainer: that its masks are masks, repeat, and cost nothing but their time.
+
+Scoring protects itself whatever an explainer does (copies, seeds, checked masks); these checks say what it
+would have had to protect itself from. S is the number of timesteps, N agents, D observation entries.
+"""
+
+from __future__ import annotations
+
+import copy
+import random
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import torch
+from joblib import Parallel, delayed
+from torch import Tensor
+
+from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
+from xmarl_bench.checks.peak_memory import peak_memory
+from xmarl_bench.checks.traces import global_settings, traces_of
+from xmarl_bench.errors import InputError
+from xmarl_bench.explainer import (
+    Explainer,
+    as_floats,
+    finite,
+    mask_of_explainer,
+    returned_by,
+    run_explainer,
+    seen,
+)
+from xmarl_bench.fitting import fit_states, fitted
+from xmarl_bench.measure import spaced_timesteps
+from xmarl_bench.policy import Policy
+from xmarl_bench.reproducible import one_thread, seeded
+
+SEED: Final = 1
+ROUNDING: Final = 1e-4  # matrix products round by the size of their batch
+SLOW_MS: Final = 20.0  # CPU time per timestep: twice what `slow` is about, for machines differ
+MAX_MEMORY_MB: Final = 2000.0
+MEMORY_TIMESTEPS: Final = 500
+
+
+@dataclass(frozen=True)
+class ExplainerSubject:
+    """An explainer, fitted where it needs that, on a policy and on states that no score uses."""
+
+    explainer: Explainer
+    policy: Policy
+    observations: Tensor  # (S, N, D)
+
+    @cached_property
+    def returned(self) -> object:
+        return returned_by(self.explainer, self.policy, self.observations, SEED)
+
+    @cached_property
+    def mask(self) -> Tensor:
+        """(S, N, N). Raises InputError where there is none."""
+        return mask_of_explainer(self.explainer, self.returned, *self.observations.shape[:2])
+
+    def mask_or_skip(self) -> Tensor:
+        try:
+            return self.mask
+        except InputError:
+            raise NotApplicable("there is no mask to look at.") from None
+
+    def explain(self, observations: Tensor, seed: int = SEED) -> Tensor:
+        return run_explainer(self.explainer, self.policy, observations, seed)
+
+
+def check_explainer(
+    explainer: Explainer, policy: Policy, task: str, n_agents: int, timesteps: int
+) -> Iterator[Finding]:
+    """Run every check on at most that many states of the policy's own episodes.
+
+    Raises InputError where the explainer cannot be fitted.
+    """
+    with one_thread():
+        states = fit_states(policy, task, n_agents)
+        states = states[torch.from_numpy(spaced_timesteps(len(states), timesteps))]
+        ready = fitted(explainer, policy, task, n_agents, SEED)
+        yield from run_checks(CHECKS, ExplainerSubject(ready, policy, states))
+
+
+def shape(subject: ExplainerSubject) -> str:
+    n_steps, n_agents, _ = subject.observations.shape
+    floats = as_floats(subject.explainer.name, subject.returned, (n_steps, n_agents, n_agents))
+    return f"{tuple(floats.shape)} of {floats.dtype}"
+
+
+def finiteness(subject: ExplainerSubject) -> str:
+    finite(subject.explainer.name, _floats(subject))
+    return ""
+
+
+def range_(subject: ExplainerSubject) -> str:
+    try:
+        finite(subject.explainer.name, _floats(subject))
+    except InputError:
+        raise NotApplicable("needs finite numbers.") from None
+    mask = subject.mask
+    return f"{float(mask.min()):.3g} to {float(mask.max()):.3g}" + (
+        ", normalised by the harness" if subject.explainer.signed else ""
+    )
+
+
+def same_seed(subject: ExplainerSubject) -> str:
+    first = subject.mask_or_skip()
+    second = subject.explain(subject.observations)
+    if not torch.equal(first, second):
+        raise Failed(
+            f"two runs with one seed differ by up to {_gap(first, second):.3g}: draw random numbers from "
+            f"`generator`, and keep nothing between calls."
+        )
+    return ""
+
+
+def another_seed(subject: ExplainerSubject) -> str:
+    first = subject.mask_or_skip()
+    gap = _gap(first, subject.explain(subject.observations, SEED + 1))
+    if gap and not subject.explainer.stochastic:
+        raise Failed(f"another seed changes the mask by up to {gap:.3g}: declare stochastic = True.")
+    return f"declared stochastic, masks differ by up to {gap:.3g}" if subject.explainer.stochastic else ""
+
+
+def another_process(subject: ExplainerSubject) -> str:
+    first = subject.mask_or_skip()
+    work = delayed(_one_thread)(subject.explainer, subject.policy, subject.observations)
+    try:
+        (second,) = Parallel(n_jobs=2)([work])
+    except InputError:
+        raise
+    except Exception as error:
+        raise Failed(
+            f"it cannot be sent to a worker process ({type(error).__name__}: {error}): keep nothing "
+            f"in it that cannot be pickled."
+        ) from error
+    if not torch.equal(first, second):
+        raise Failed(
+            f"another process gives another mask, by up to {_gap(first, second):.3g}: let it depend on "
+            f"nothing but policy, observations and generator."
+        )
+    return ""
+
+
+def policy_untouched(subject: ExplainerSubject) -> str:
+    subject.mask_or_skip()
+    policy = copy.deepcopy(subject.policy)
+    before = traces_of(policy, subject.observations)
+    _call(subject, policy, subject.observations.clone())
+    after = traces_of(policy, subject.observations)
+    changed = [what for what in before if before[what] != after[what]]
+    if changed:
+        raise Failed(f"it changed the policy's {', '.join(changed)}: work on a copy.")
+    return ""
+
+
+def observations_untouched(subject: ExplainerSubject) -> str:
+    subject.mask_or_skip()
+    given = subject.observations.clone()
+    _call(subject, copy.deepcopy(subject.policy), given)
+    if not torch.equal(given, subject.observations):
+        raise Failed("it wrote into the observations: work on a copy.")
+    return ""
+
+
+def random_state_untouched(subject: ExplainerSubject) -> str:
+    subject.mask_or_skip()
+    policy, observations = copy.deepcopy(subject.policy), subject.observations.clone()
+    with seeded(SEED):
+        before, settings = _random_states(), global_settings()
+        _call(subject, policy, observations)
+        drawn = [name for name, state in _random_states().items() if state != before[name]]
+        changed = [name for name, value in global_settings().items() if value != settings[name]]
+    if drawn:
+        raise Failed(f"it changed the global random state of {', '.join(drawn)}: draw from `generator`.")
+    if changed:
+        raise Failed(f"it changed {', '.join(changed)} for the whole process: put it back.")
+    return ""
+
+
+def batch_order(subject: ExplainerSubject) -> str:
+    mask = _deterministic(subject)
+    order = torch.randperm(len(mask), generator=torch.Generator().manual_seed(SEED))
+    return _same_but_rounding(mask[order], subject.explain(subject.observations[order]), "in another order")
+
+
+def chunk(subject: ExplainerSubject) -> str:
+    mask = _deterministic(subject)
+    middle = len(mask) // 2
+    if not middle:
+        raise NotApplicable("needs two timesteps.")
+    halves = [subject.explain(part) for part in subject.observations.split([middle, len(mask) - middle])]
+    return _same_but_rounding(mask, torch.cat(halves), "in two halves")
+
+
+def team_sizes(subject: ExplainerSubject) -> str:
+    """Masks are checked by `explain`."""
+    subject.mask_or_skip()
+    own, obs_dim = subject.observations.shape[1:]
+    if subject.explainer.fit is not None:
+        raise NotApplicable(f"it was fitted on teams of {own}.")
+    generator = torch.Generator().manual_seed(SEED)
+    sizes = [n for n in (1, 2, 5) if n != own]
+    for n in sizes:
+        x = torch.randn(2, n, obs_dim, generator=generator)
+        try:
+            subject.policy.distribution(x)
+        except InputError as error:
+            raise NotApplicable(str(error)) from None
+        subject.explain(x)
+    return f"{own}, " + ", ".join(map(str, sizes))
+
+
+def time_per_timestep(subject: ExplainerSubject) -> str:
+    n_steps = len(subject.mask_or_skip())
+    started = time.process_time()
+    subject.explain(subject.observations)
+    each = (time.process_time() - started) * 1000 / n_steps
+    said = f"{each:.3g} ms of CPU, over {n_steps} timesteps"
+    if each > SLOW_MS and not subject.explainer.slow:
+        raise Failed(f"{said}, without being declared slow: declare slow = True.")
+    return said
+
+
+def memory(subject: ExplainerSubject) -> str:
+    subject.mask_or_skip()
+    n_steps = len(subject.observations) if subject.explainer.slow else MEMORY_TIMESTEPS
+    x = subject.observations.repeat(-(-n_steps // len(subject.observations)), 1, 1)[:n_steps]
+    megabytes = peak_memory(lambda: subject.explain(x))
+    if megabytes is None:
+        raise NotApplicable("this system does not tell a process's peak.")
+    said = f"{megabytes:.0f} MB more at its peak, on {n_steps} timesteps"
+    if megabytes > MAX_MEMORY_MB:
+        raise Failed(f"{said}, over {MAX_MEMORY_MB:.0f}: explain fewer timesteps at once.")
+    return said
+
+
+CHECKS: dict[str, Callable[[ExplainerSubject], str]] = {
+    "shape": shape,
+    "finiteness": finiteness,
+    "range": range_,
+    "same seed, same mask": same_seed,
+    "another seed": another_seed,
+    "another process, same mask": another_process,
+    "policy untouched": policy_untouched,
+    "observations untouched": observations_untouched,
+    "global random state untouched": random_state_untouched,
+    "order of timesteps": batch_order,
+    "chunks of timesteps": chunk,
+    "other team sizes": team_sizes,
+    "time per timestep": time_per_timestep,
+    "memory": memory,
+}
+
+
+def _floats(subject: ExplainerSubject) -> Tensor:
+    n_steps, n_agents, _ = subject.observations.shape
+    try:
+        return as_floats(subject.explainer.name, subject.returned, (n_steps, n_agents, n_agents))
+    except InputError:
+        raise NotApplicable("there is no mask to look at.") from None
+
+
+def _call(subject: ExplainerSubject, policy: Policy, observations: Tensor) -> None:
+    """Without the protection of scoring: on this very policy, with the global state as it is."""
+    explainer, generator = subject.explainer, torch.Generator().manual_seed(SEED)
+    with torch.enable_grad():
+        for x in [observations] if explainer.batched else observations:
+            explainer.explain(seen(explainer, policy), x, generator)
+
+
+def _one_thread(explainer: Explainer, policy: Policy, observations: Tensor) -> Tensor:
+    with one_thread():
+        return run_explainer(explainer, policy, observations.clone(), SEED)
+
+
+def _random_states() -> dict[str, str]:
+    return {
+        "torch": str(torch.get_rng_state().tolist()),
+        "numpy": str(np.random.get_state()),  # noqa: NPY002
+        "Python": str(random.getstate()),
+    }
+
+
+def _deterministic(subject: ExplainerSubject) -> Tensor:
+    mask = subject.mask_or_skip()
+    if subject.explainer.stochastic:
+        raise NotApplicable("a stochastic explainer draws its numbers in the order of timesteps.")
+    return mask
+
+
+def _same_but_rounding(expected: Tensor, mask: Tensor, how: str) -> str:
+    """A threshold may fall on the other side by rounding, so one value in a hundred is let pass."""
+    changed = float(((expected - mask).abs() > ROUNDING).double().mean())
+    if changed > 0.01:
+        raise Failed(
+            f"explained {how}, {changed:.0%} of the values change, by up to {_gap(expected, mask):.3g}: "
+            f"explain each timestep by itself."
+        )
+    return f"largest difference {_gap(expected, mask):.2g}"
+
+
+def _gap(one: Tensor, other: Tensor) -> float:
+    return float((one - other).abs().max())

@@ -1,0 +1,222 @@
+"""What a referee checks of a policy: one function shared by a team that meets in its messages alone.
+
+A mask can explain such a policy and no other. S is the number of timesteps, N agents, D observation entries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
+from xmarl_bench.errors import InputError
+from xmarl_bench.fitting import FIRST_FIT_SEED, fit_states
+from xmarl_bench.measure import spaced_timesteps
+from xmarl_bench.policy import ActionDistribution, Policy, complete_graph
+from xmarl_bench.policy.graph import edge_index_of
+from xmarl_bench.reproducible import one_thread
+from xmarl_bench.request import Cell
+from xmarl_bench.rollout import Episode, play, roll_out
+from xmarl_bench.statistics import paired_bootstrap
+
+SEED: Final = 1
+ROUNDING: Final = 1e-4  # action units: sums round by their order and by the size of a batch
+LISTENS: Final = 0.02  # mean change without messages below which a policy is not ranked on the leaderboard
+
+
+@dataclass(frozen=True)
+class PolicySubject:
+    """A policy in a cell, on states that no score uses."""
+
+    policy: Policy
+    cell: Cell
+    observations: Tensor  # (S, N, D), of the policy's own episodes
+    episodes: int  # for what has to be played
+
+    @cached_property
+    def full(self) -> ActionDistribution:
+        return self.policy.distribution(self.observations)
+
+    def act(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        """(N, D) -> (N, A), on any edges of one team."""
+        action: Tensor = self.policy(x, edge_index)
+        return action
+
+    def edges(self, x: Tensor) -> Tensor:
+        """(N, D) -> (2, edges) of the policy's graph."""
+        there = self.policy.adjacency(x[None])
+        return complete_graph(len(x)) if there is None else edge_index_of(there)
+
+    @property
+    def rng(self) -> np.random.Generator:
+        return np.random.default_rng(SEED)
+
+    def permutation(self) -> Tensor:
+        """Agents in another order: each one moves by one place."""
+        return torch.arange(self.observations.shape[1]).roll(1)
+
+
+def check_policy(policy: Policy, cell: Cell, *, timesteps: int = 20, episodes: int = 20) -> Iterator[Finding]:
+    """Run every check, on so many states of the policy's own episodes and on so many episodes."""
+    with one_thread(), torch.no_grad():
+        states = fit_states(policy, cell.task, cell.n_agents)
+        states = states[torch.from_numpy(spaced_timesteps(len(states), timesteps))]
+        yield from run_checks(CHECKS, PolicySubject(policy, cell, states, episodes))
+
+
+def weights(subject: PolicySubject) -> str:
+    bad = [name for name, each in subject.policy.named_parameters() if not bool(torch.isfinite(each).all())]
+    if bad:
+        raise Failed(f"{len(bad)} tensors hold NaN or infinity, {bad[0]!r} first: train or save it again.")
+    return f"{sum(each.numel() for each in subject.policy.parameters())} parameters, all finite"
+
+
+def ranges(subject: PolicySubject) -> str:
+    loc, scale, action = subject.full.loc, subject.full.scale, subject.full.action
+    if not bool(torch.isfinite(loc).all() & torch.isfinite(scale).all()):
+        raise Failed("an action is NaN or infinite: look for a division by zero or an overflow.")
+    if float(action.abs().max()) > 1.0:
+        raise Failed(f"an action is {float(action.abs().max()):.3g}: keep actions in [-1, 1].")
+    if subject.full.kind != "deterministic" and not bool((scale > 0).all()):
+        raise Failed("a scale is not positive: a Normal needs one.")
+    low, high, widest = float(action.min()), float(action.max()), float(scale.max())
+    return f"actions {low:.2f} to {high:.2f}, scales up to {widest:.2f}"
+
+
+def repeats(subject: PolicySubject) -> str:
+    again = subject.policy.distribution(subject.observations)
+    if not torch.equal(again.loc, subject.full.loc):
+        raise Failed("the same observations gave another action: leave out dropout and random numbers.")
+    return "bit for bit"
+
+
+def batch(subject: PolicySubject) -> str:
+    alone = torch.cat([subject.policy.distribution(x[None]).action for x in subject.observations])
+    return _close(alone, subject.full.action, "teams of a batch change one another's actions")
+
+
+def mask_of_ones(subject: PolicySubject) -> str:
+    n_steps, n_agents, _ = subject.observations.shape
+    masked = subject.policy.distribution(subject.observations, torch.ones(n_steps, n_agents, n_agents))
+    return _close(masked.action, subject.full.action, "a mask of ones changes actions")
+
+
+def equivariance(subject: PolicySubject) -> str:
+    """Agents are told apart by what they observe and by their edges, not by their number."""
+    order = subject.permutation()
+    place = torch.empty_like(order)
+    place[order] = torch.arange(len(order))
+    here = torch.stack([subject.act(x, subject.edges(x))[order] for x in subject.observations])
+    there = torch.stack([subject.act(x[order], place[subject.edges(x)]) for x in subject.observations])
+    return _close(there, here, "agents in another order act in another way")
+
+
+def edge_order(subject: PolicySubject) -> str:
+    rng, here, there = subject.rng, [], []
+    for x in subject.observations:
+        edges = subject.edges(x)
+        shuffled = edges[:, torch.from_numpy(rng.permutation(edges.shape[1]))]
+        here.append(subject.act(x, edges))
+        there.append(subject.act(x, shuffled))
+    return _close(torch.stack(there), torch.stack(here), "edges in another order give other actions")
+
+
+def blindness(subject: PolicySubject) -> str:
+    """Where nobody hears another, an agent's action depends on what it observes itself.
+
+    That is a graph of loops alone, and a mask of zeros. (Not the mask of own edges: what an agent gives to
+    its own edge is its share of a softmax over all.)
+    """
+    observations = subject.observations
+    n_steps, n_agents, _ = observations.shape
+    if n_agents < 2:
+        raise NotApplicable("needs two agents.")
+    loops = torch.arange(n_agents).repeat(2, 1)
+    silent = torch.zeros(n_steps, n_agents, n_agents)
+    for i in range(n_agents):
+        others = observations.roll(1, dims=0).roll(1, dims=1).clone()
+        others[:, i] = observations[:, i]
+        pairs = [
+            (subject.policy.distribution(x, silent).action[:, i] for x in (observations, others)),
+            (torch.stack([subject.act(each, loops)[i] for each in x]) for x in (observations, others)),
+        ]
+        for here, there in pairs:
+            _close(there, here, f"agent {i} reacts to others with all messages removed")
+    return ""
+
+
+def attends(subject: PolicySubject) -> str:
+    try:
+        alpha = subject.policy.attention(subject.observations)
+    except InputError as error:
+        raise NotApplicable(str(error)) from None
+    off = float((alpha.sum(dim=-1) - 1.0).abs().max())
+    if off > ROUNDING or float(alpha.min()) < 0:
+        raise Failed(f"rows of the attention sum to 1 +- {off:.2g}: explainers take it for a distribution.")
+    return f"an agent's own edge has {float(alpha.diagonal(dim1=-2, dim2=-1).mean()):.2f} of it"
+
+
+def listens(subject: PolicySubject) -> str:
+    n_steps, n_agents, _ = subject.observations.shape
+    alone = subject.policy.distribution(subject.observations, torch.eye(n_agents).repeat(n_steps, 1, 1))
+    change = float((alone.action - subject.full.action).abs().mean())
+    if change < LISTENS:
+        raise Failed(
+            f"removing all messages changes actions by {change:.2g}, less than {LISTENS}: explanations of a "
+            f"policy that ignores its team are trivially faithful, and the leaderboard does not rank them."
+        )
+    return f"removing all messages changes actions by {change:.3f}"
+
+
+def success(subject: PolicySubject) -> str:
+    """Against actions drawn at random, in the same episodes."""
+    task, seeds = subject.cell.make(), range(FIRST_FIT_SEED, FIRST_FIT_SEED + subject.episodes)
+    trained = roll_out(task, subject.policy, seeds)
+    rng = subject.rng
+
+    def at_random(observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[np.float32]:
+        return rng.uniform(-1, 1, (len(observation), task.n_agents, 2)).astype(np.float32)
+
+    chance = play(task, at_random, seeds)
+    ours, theirs = _rates(trained), _rates(chance)
+    difference = paired_bootstrap(ours, theirs, subject.rng)
+    said = f"success {np.mean(ours):.2f}, random actions {np.mean(theirs):.2f}, {len(ours)} episodes"
+    if difference.interval is None or difference.interval[0] <= 0:
+        raise Failed(f"{said}: not more than chance, train it further.")
+    return said
+
+
+def _rates(episodes: Sequence[Episode]) -> list[float]:
+    return [episode.success_rate for episode in episodes]
+
+
+def _close(one: Tensor, other: Tensor, otherwise: str) -> str:
+    largest = float((one - other).abs().max())
+    if not largest <= ROUNDING:
+        raise Failed(
+            f"{otherwise}, by up to {largest:.2g}: let agents meet in message-passing layers only, the same "
+            f"for all."
+        )
+    return f"to {largest:.1g}"
+
+
+CHECKS: Final[dict[str, Callable[[PolicySubject], str]]] = {
+    "finite weights": weights,
+    "output ranges": ranges,
+    "repeats": repeats,
+    "independent of the batch": batch,
+    "a mask of ones is none": mask_of_ones,
+    "permutation equivariance": equivariance,
+    "edge order": edge_order,
+    "blind without messages": blindness,
+    "attention": attends,
+    "uses messages": listens,
+    "success above random": success,
+}

@@ -1,0 +1,54 @@
+"""What a policy and a process look like from outside, to see whether somebody has been there."""
+
+from __future__ import annotations
+
+import hashlib
+
+import torch
+from torch import Tensor, nn
+
+from xmarl_bench.policy import Policy
+
+
+def traces_of(policy: Policy, observations: Tensor) -> dict[str, str]:
+    """Hashes of all that an explainer could leave behind: a changed one names what was touched."""
+    with torch.no_grad():
+        answer = policy.distribution(observations)
+    state = policy.state_dict()
+    modules = dict(policy.named_modules())
+    return {
+        "weights": _hash(*(state[key].detach().cpu().numpy().tobytes() for key in sorted(state))),
+        "gradients": str([None if p.grad is None else "set" for p in policy.parameters()]),
+        "requires_grad": str([p.requires_grad for p in policy.parameters()]),
+        "training mode": str([module.training for module in modules.values()]),
+        "hooks": str([_hooks(module) for module in modules.values()]),
+        "attributes": str([sorted(vars(module)) for module in modules.values()]),
+        "layers": str([(name, type(module).__name__) for name, module in modules.items()]),
+        "answers": _hash(*(part.cpu().numpy().tobytes() for part in answer if isinstance(part, Tensor))),
+    }
+
+
+def global_settings() -> dict[str, object]:
+    """Of torch, for the whole process."""
+    return {
+        "torch's number of threads": torch.get_num_threads(),
+        "torch's default dtype": torch.get_default_dtype(),
+        "torch's deterministic mode": torch.are_deterministic_algorithms_enabled(),
+        "torch's gradient mode": torch.is_grad_enabled(),
+    }
+
+
+def _hooks(module: nn.Module) -> dict[str, int]:
+    """How many hooks of each kind; PyG's layers keep kinds of their own under such names too."""
+    return {
+        name: len(hooks)
+        for name, hooks in vars(module).items()
+        if name.endswith("_hooks") and hasattr(hooks, "__len__")
+    }
+
+
+def _hash(*parts: bytes) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()

@@ -70,7 +70,7 @@ const scores = new DataTable("#scores", {
 // What scrolls sideways is the table alone, not its search field and pages.
 const scroller = element("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Scores, scrolls sideways" });
 $("scores").replaceWith(scroller);
-scroller.append($("scores") ?? scores.table().node());
+scroller.append(scores.table().node());
 scores.search.fixed("scope", (_, row) =>
   inScope(row) && (!$("policy").value || row.policy.key === $("policy").value) &&
   (!$("kind").value || row.control === ($("kind").value === "1")) &&

@@ -8,6 +8,7 @@ import typer
 
 from xmarl_bench.commands.board import board
 from xmarl_bench.commands.check import check
+from xmarl_bench.commands.compare import compare
 from xmarl_bench.commands.convert import convert
 from xmarl_bench.commands.evaluate import evaluate
 from xmarl_bench.commands.list import list_
@@ -30,6 +31,7 @@ app.command()(score)
 app.command("list")(list_)
 app.command()(evaluate)
 app.command()(render)
+app.command()(compare)
 app.command()(convert)
 app.command()(study)
 app.command()(submit)

@@ -1,4 +1,4 @@
-"""The ledgers' data: every statement can be judged, has its place, and the paper's numbers are the paper's."""
+"""The ledgers' data: statements can be judged and have their place, and the paper's numbers are its own."""
 
 from __future__ import annotations
 

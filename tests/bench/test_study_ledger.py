@@ -17,7 +17,6 @@ from xmarl_bench.study.claims import (
     Combine,
     Contrast,
     Quantifier,
-    Relation,
     Side,
     Term,
     beats,
@@ -30,18 +29,18 @@ from xmarl_bench.study.ledger import Compared, Judge, Verdict, combine, compare,
 from xmarl_bench.study.samples import Place, Run, Samples, Scored
 
 CELLS = tuple(Cell("blind_navigation_v0", n) for n in (3, 4, 5))
-H, N, O, X = Verdict.HELD, Verdict.NOT_HELD, Verdict.NOT_DECIDED, Verdict.NOT_MEASURED
+H, N, U, X = Verdict.HELD, Verdict.NOT_HELD, Verdict.NOT_DECIDED, Verdict.NOT_MEASURED
 EVERY, MOST, MIXED = Quantifier.EVERY, Quantifier.MOST, Quantifier.MIXED
-OPPOSITE = {H: N, N: H, O: O, X: X}
+OPPOSITE = {H: N, N: H, U: U, X: X}
 
 
 @pytest.mark.parametrize(
     ("verdicts", "quantifier", "expected"),
     [
-        ([H, H, H], EVERY, H), ([H, H, O], EVERY, O), ([H, H, N], EVERY, N), ([H, X, X], EVERY, H),
-        ([H, H, N], MOST, H), ([H, O, O], MOST, O), ([H, N, N], MOST, N), ([H, N], MOST, N),
-        ([H, H, X, X, X], MOST, H), ([O, O, N], MOST, O),
-        ([H, N, O], MIXED, H), ([H, H, H], MIXED, N), ([N, N], MIXED, N), ([H, O, O], MIXED, O),
+        ([H, H, H], EVERY, H), ([H, H, U], EVERY, U), ([H, H, N], EVERY, N), ([H, X, X], EVERY, H),
+        ([H, H, N], MOST, H), ([H, U, U], MOST, U), ([H, N, N], MOST, N), ([H, N], MOST, N),
+        ([H, H, X, X, X], MOST, H), ([U, U, N], MOST, U),
+        ([H, N, U], MIXED, H), ([H, H, H], MIXED, N), ([N, N], MIXED, N), ([H, U, U], MIXED, U),
         ([X, X], EVERY, X), ([X, X], MOST, X), ([X, X], MIXED, X),
     ],
 )  # fmt: skip
@@ -52,8 +51,8 @@ def test_the_words_of_a_statement(verdicts: list[Verdict], quantifier: Quantifie
 @pytest.mark.parametrize(
     ("verdicts", "how", "expected"),
     [
-        ([H, H], Combine.ALL, H), ([H, O], Combine.ALL, O), ([O, N], Combine.ALL, N),
-        ([H, N], Combine.ANY, H), ([O, N], Combine.ANY, O), ([N, N], Combine.ANY, N),
+        ([H, H], Combine.ALL, H), ([H, U], Combine.ALL, U), ([U, N], Combine.ALL, N),
+        ([H, N], Combine.ANY, H), ([U, N], Combine.ANY, U), ([N, N], Combine.ANY, N),
         ([H, X], Combine.ALL, X), ([H, X], Combine.ANY, X),
     ],
 )  # fmt: skip
@@ -74,11 +73,11 @@ SAME, NO_WORSE = unmoved(ATTENTION, "fid_delta", 0.1), keeps("success_rate", 0.1
     ("contrast", "low", "high", "effect", "p", "expected"),
     [
         (BETTER, 0.1, 0.2, 0.5, 0.01, H), (BETTER, -0.2, -0.1, -0.5, 0.01, N),
-        (BETTER, 0.1, 0.2, 0.5, 0.06, O), (BETTER, -0.1, 0.2, 0.5, 0.01, O),
-        (BETTER, 0.1, 0.2, -0.5, 0.01, O),  # the two tests point in different directions
-        (SAME, -0.05, 0.1, 0.0, 1.0, H), (SAME, -0.05, 0.11, 0.0, 1.0, O), (SAME, 0.11, 0.2, 0.9, 0.0, N),
+        (BETTER, 0.1, 0.2, 0.5, 0.06, U), (BETTER, -0.1, 0.2, 0.5, 0.01, U),
+        (BETTER, 0.1, 0.2, -0.5, 0.01, U),  # the two tests point in different directions
+        (SAME, -0.05, 0.1, 0.0, 1.0, H), (SAME, -0.05, 0.11, 0.0, 1.0, U), (SAME, 0.11, 0.2, 0.9, 0.0, N),
         (SAME, -0.3, -0.11, 0.9, 0.0, N),
-        (NO_WORSE, -0.1, 0.5, 0.0, 1.0, H), (NO_WORSE, -0.2, 0.5, 0.0, 1.0, O),
+        (NO_WORSE, -0.1, 0.5, 0.0, 1.0, H), (NO_WORSE, -0.2, 0.5, 0.0, 1.0, U),
         (NO_WORSE, -0.3, -0.2, 0.0, 1.0, N),
     ],
 )  # fmt: skip
@@ -89,7 +88,7 @@ def test_a_contrast(
 
 
 def test_without_an_interval_nothing_is_decided_and_without_a_value_nothing_measured() -> None:
-    assert decide(BETTER, Compared(1, 1, 0, 1.0, 0.0, 1.0, None, 0.0, 1.0), 0.0) is O
+    assert decide(BETTER, Compared(1, 1, 0, 1.0, 0.0, 1.0, None, 0.0, 1.0), 0.0) is U
     assert decide(BETTER, Compared(0, 0, 0, None, None, None, None, None, None), None) is X
 
 
@@ -122,7 +121,7 @@ def test_what_differs_is_found_and_what_does_not_is_left_open() -> None:
     assert above.overall[0].compared.difference == pytest.approx(0.3, abs=0.01)
     assert above.overall[0].compared.n_policies == 9
     assert judge.judge(claim(beats(ATTENTION, GNN, "gef", regularised=True))).verdict is N
-    assert judge.judge(claim(beats(ATTENTION, GNN, "fid_delta", regularised=False))).verdict is O
+    assert judge.judge(claim(beats(ATTENTION, GNN, "fid_delta", regularised=False))).verdict is U
     assert judge.judge(claim(improves(ATTENTION, "fid_delta"))).verdict is H
     assert judge.judge(claim(improves_more(ATTENTION, GNN, "fid_delta"))).verdict is H
     assert judge.judge(claim(improves_more(GNN, ATTENTION, "fid_delta"))).verdict is N
@@ -151,7 +150,7 @@ def test_exchanged_sides_turn_the_verdict_around(shift: float, seed: int) -> Non
     judge = Judge(made_samples(CELLS[:1], (ATTENTION, GNN), level, episodes=10 + seed))
     one = judge.judge(claim(beats(ATTENTION, GNN, "fid_delta"), cells=CELLS[:1]))
     other = judge.judge(claim(beats(GNN, ATTENTION, "fid_delta"), cells=CELLS[:1]))
-    if one.verdict is not O and other.verdict is not O:  # another draw of the bootstrap may be undecided
+    if one.verdict is not U and other.verdict is not U:  # another draw of the bootstrap may be undecided
         assert other.verdict is OPPOSITE[one.verdict]
     first, second = one.overall[0].compared, other.overall[0].compared
     assert first.difference is not None
@@ -202,7 +201,7 @@ def test_a_lead_is_one_term_less_another() -> None:
             (Place.of(far, Term(GNN)), GNN): {run: scored("far", 2.0, 1.0)},
         }
     )
-    sides = [Side(Term(ATTENTION, True, more=m), Term(GNN, True, more=m)) for m in (1, 3)]
-    contrast = Contrast("fid_delta", *sides, Relation.BETTER)
+    leads = [Side(Term(ATTENTION, True, more=m), Term(GNN, True, more=m)) for m in (1, 3)]
+    contrast = Contrast("fid_delta", leads[0], leads[1])
     a, b = samples.blocks(Cell("blind_navigation_v0", 3, more=None), contrast)
     assert (a[0].tolist(), b[0].tolist()) == ([4.0, 5.0], [1.0, 2.0])

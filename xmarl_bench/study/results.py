@@ -60,8 +60,8 @@ def results_of(data: StudyData) -> Json:
         "missing": missing(data),
         "quality": quality(data),
         "performance": performance(samples, study.cells),
-        "ledger": [_judged(judge.judge(claim)) for claim in study.claims],
-        "beyond": [_judged(judge.judge(claim)) for claim in study.beyond],
+        "ledger": [judged_record(judge.judge(claim)) for claim in study.claims],
+        "beyond": [judged_record(judge.judge(claim)) for claim in study.beyond],
         "lenses": [
             {"name": lens.name, "text": lens.text, "claims": _seen(judge, study.claims, lens.apply)}
             for lens in LENSES
@@ -151,10 +151,10 @@ def _policies(data: StudyData) -> list[Json]:
 
 def _seen(judge: Judge, claims: Sequence[Claim], apply: Any) -> list[Json]:
     seen = [apply(claim) for claim in claims]
-    return [_judged(judge.judge(claim), cells=False) for claim in seen if claim is not None]
+    return [judged_record(judge.judge(claim), cells=False) for claim in seen if claim is not None]
 
 
-def _judged(judged: Judged, *, cells: bool = True) -> Json:
+def judged_record(judged: Judged, *, cells: bool = True) -> Json:
     claim = judged.claim
     record: Json = {
         "id": claim.id,

@@ -56,12 +56,13 @@ def final(cards: list[PolicyCard]) -> list[PolicyCard]:
 
 
 def cell_rows(cards: list[PolicyCard]) -> list[Row]:
-    """One row per task, team size and with or without the term: best seed, median of the seeds, paper."""
-    cells: defaultdict[tuple[str, int, bool], list[PolicyCard]] = defaultdict(list)
+    """One row per recipe, team size and with or without the term: best seed, median of the seeds, paper."""
+    cells: defaultdict[tuple[str, str, int, bool], list[PolicyCard]] = defaultdict(list)
     for card in final(cards):
-        cells[card.task, card.n_agents, card.attention_entropy > 0].append(card)
+        variant = card.training["recipe"].get("variant", "")
+        cells[card.task, variant, card.n_agents, card.attention_entropy > 0].append(card)
     rows: list[Row] = []
-    for (task, n_agents, regularised), group in sorted(cells.items()):
+    for (task, _, n_agents, regularised), group in sorted(cells.items()):
         best = max(group, key=worth)
         row: Row = {"task": task, "agents": n_agents, "lambda": best.attention_entropy, "seeds": len(group)}
         for title, name in MEASURES.items():

@@ -2,8 +2,8 @@
 
 One iteration of the paper's schedule for navigation (Kailas et al., ICML 2025: 18,000 frames, then 30 epochs
 in minibatches of 800), one thread. BenchMARL plays VMAS navigation with `collisions=False`, which takes away
-the lidar that blind agents lack, and contacts too: it computes less than ours does. Its model is its GNN (full
-topology, GATv2Conv, self loops), then an MLP of 256, 256.
+the lidar that blind agents lack, and contacts too: it computes less than ours does. Its model is its GNN
+(full topology, GATv2Conv, self loops), then an MLP of 256, 256.
 
 `ratio` is BenchMARL's time over ours, the better of ROUNDS each. Of ours, `environment_share`,
 `inference_share` and `update_share` say where the time goes, and `matrix_peak_share` which part of the speed

@@ -134,7 +134,7 @@ class Sandbox:
         if not isinstance(header, dict):
             raise InputError(f"explainer {shown(self.explainer)} answered with no JSON: correct it.")
         if "error" in header:
-            raise InputError(shown(header["error"], 500).strip("'\""))
+            raise InputError(shown(header["error"], 500)[1:-1])
         return header, payload
 
     def _read(self, n_bytes: int, deadline: float) -> bytes:
@@ -162,7 +162,10 @@ class Sandbox:
         return pipe
 
     def _ended(self) -> InputError:
-        code = None if self.process is None else self.process.poll()
+        code = None
+        if self.process is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                code = self.process.wait(timeout=5)
         self.close()
         return InputError(
             f"the process of explainer {shown(self.explainer)} ended (exit code {code}), maybe at a limit of "

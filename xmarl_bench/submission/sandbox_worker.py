@@ -10,6 +10,8 @@ import os
 import pickle
 import struct
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,34 +28,34 @@ def main() -> None:
     limits.apply()
     from xmarl_bench.errors import InputError
 
-    try:
-        worker = Worker(name)
-        _send(answers, worker.declared())
-        while True:
-            question = _receive(questions)
-            if question is None:
-                return
-            _send(answers, *worker.answer(*question))
-    except InputError as error:
-        _send(answers, {"error": str(error)})
-    except MemoryError:
-        _send(answers, {"error": f"explainer {name!r} ran out of memory: give it more, or leave it out."})
+    def attempt(act: Callable[[], tuple[dict[str, Any], bytes]]) -> None:
+        try:
+            _send(answers, *act())
+        except InputError as error:
+            _send(answers, {"error": str(error)})
+        except MemoryError:
+            _send(answers, {"error": f"explainer {name!r} ran out of memory: give it more, or leave it out."})
+
+    worker = Worker(name)
+    attempt(worker.load)
+    while (question := _receive(questions)) is not None:
+        attempt(partial(worker.answer, *question))
 
 
 class Worker:
     """The explainer and what it was fitted to."""
 
     def __init__(self, name: str) -> None:
-        from xmarl_bench.registry import find_explainer
-
-        self.found = find_explainer(name)  # from here on the code of strangers runs
+        self.name = name
         self.fitted: dict[str, Any] = {}
 
-    def declared(self) -> dict[str, Any]:
-        """The fields of `ExplainerRecord` that are the explainer's own."""
+    def load(self) -> tuple[dict[str, Any], bytes]:
+        """What it declares: an `ExplainerRecord`. From here on the code of strangers runs."""
+        from xmarl_bench.registry import find_explainer
         from xmarl_bench.scoring import explainer_record
 
-        return explainer_record(self.found, 0).model_dump(mode="json")
+        self.found = find_explainer(self.name)
+        return explainer_record(self.found, 0).model_dump(mode="json"), b""
 
     def answer(
         self, what: str, policy: Any, observations: Any, seed: int, fitted: str | None

@@ -7,7 +7,6 @@ import numpy as np
 from xmarl_bench.board.ranking import Floats, resampled
 from xmarl_bench.entry import CellResult
 from xmarl_bench.reproducible import derived_seed
-from xmarl_bench.statistics import percentiles
 
 CURVES = ("explained", "random", "oracle")
 RESAMPLES = 1000  # for a band in a picture
@@ -39,9 +38,10 @@ def _with_band(episodes: Floats) -> list[list[float]]:
     if len(episodes) < 2:
         return _rounded(episodes.mean(axis=0))
     samples = resampled([episodes.T], np.random.default_rng(derived_seed("budget")), RESAMPLES)
+    low, high = np.quantile(samples, [0.025, 0.975], axis=0)
     return [
-        [*_rounded(np.array([k.mean()]))[0], *(float(f"{x:.4g}") for x in percentiles(drawn))]
-        for k, drawn in zip(episodes.T, samples.T, strict=True)
+        [*mean, *least, *most]
+        for mean, least, most in zip(*map(_rounded, (episodes.mean(axis=0), low, high)), strict=True)
     ]
 
 

@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from xmarl_bench.board.columns import COLUMNS
+from xmarl_bench.board.details import Details, details_of
 from xmarl_bench.board.page import PAGES, page_files
 from xmarl_bench.board.tables import board_of
-from xmarl_bench.entry import read_entries
+from xmarl_bench.entry import Entry, read_entry
 from xmarl_bench.errors import InputError
 
 ANIMATIONS = "animations"
@@ -62,10 +63,18 @@ def check_board(folder: Path) -> list[str]:
 
 def derived(folder: Path) -> dict[str, bytes]:
     """Every derived file by its path in the folder, in the order of putting in place."""
-    entries = {f"entries/{path.name}": entry for path, entry in read_entries(folder / "entries")}
-    board = board_of(list(entries.items()))
+    details: dict[str, Details] = {}
+
+    def read() -> Iterator[tuple[str, Entry]]:
+        """One entry after the other, for many are large; the page keeps of each what it shows."""
+        for path in sorted((folder / "entries").glob("*.json")):
+            entry, file = read_entry(path), f"entries/{path.name}"
+            details[file] = details_of(entry)
+            yield file, entry
+
+    board = board_of(read())
     animations = {path.name for path in (folder / ANIMATIONS).glob("*.webp")}
-    pages = page_files(board, entries, animations)
+    pages = page_files(board, details, animations)
     return {
         **{path: data for path, data in pages.items() if "/" in path},
         "leaderboard.csv": board_csv(board),

@@ -19,29 +19,19 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from xmarl_bench.board.budgets import curves_of
 from xmarl_bench.board.columns import COLUMNS, PAPER, POLICY_METRICS
-from xmarl_bench.board.command import command_of
-from xmarl_bench.controls import INVERTED
-from xmarl_bench.entry import BehaviourRow, CellResult, Entry, EpisodeRow, ExplanationRow
+from xmarl_bench.board.details import EPISODE_METRICS, Details, numbers, short, shown_value
 from xmarl_bench.files import canonical_json
 
 HERE = Path(__file__).parent
 PAGES = "pages"
-DIGITS = 4  # significant; `leaderboard.json` has them all
 Json = dict[str, Any]
-# Metrics that the charts show by episode: of the explanation, not of the policy.
-EPISODE_METRICS = tuple(
-    name
-    for name in EpisodeRow.model_fields
-    if name in {**ExplanationRow.model_fields, **BehaviourRow.model_fields}
-)
 
 
-def page_files(board: Json, entries: Mapping[str, Entry], animations: Set[str]) -> dict[str, bytes]:
+def page_files(board: Json, details: Mapping[str, Details], animations: Set[str]) -> dict[str, bytes]:
     """Every file of the page by its path.
 
-    board: of `board_of`; entries: by file; animations: names of the files in `animations/`.
+    board: of `board_of`; details: by file; animations: names of the files in `animations/`.
     """
     files: dict[str, bytes] = {}
 
@@ -52,7 +42,7 @@ def page_files(board: Json, entries: Mapping[str, Entry], animations: Set[str]) 
         return path
 
     assets = {path.name: add(path.name, path.read_bytes()) for path in sorted((HERE / "assets").iterdir())}
-    data = add("board.js", _script("BOARD", _compact(board, entries, animations, add)))
+    data = add("board.js", _script("BOARD", _compact(board, details, animations, add)))
     environment = Environment(
         loader=FileSystemLoader(HERE / "templates"),
         autoescape=True,
@@ -67,7 +57,7 @@ def page_files(board: Json, entries: Mapping[str, Entry], animations: Set[str]) 
 
 
 def _compact(
-    board: Json, entries: Mapping[str, Entry], animations: Set[str], add: Callable[[str, bytes], str]
+    board: Json, details: Mapping[str, Details], animations: Set[str], add: Callable[[str, bytes], str]
 ) -> Json:
     """The whole board in lists. `add` takes the script of a policy and says where it is."""
     policies: list[Json] = []
@@ -76,8 +66,11 @@ def _compact(
     for t, table in enumerate(board["tables"]):
         for policy in table["policies"]:
             key = _hash(canonical_json([t, policy["name"], policy["weights_sha256"]]))
-            detail = _detail(table, policy, entries)
-            script = add(f"{policy['name']}.js", _script(f"XMARL_{key}", detail))
+            scope = (table["task"], table["n_agents"], table["max_cycles"])
+            shown = {
+                row["entry_id"][:16]: details[row["file"]][scope] for row in policy["rows"] if row["entry_id"]
+            }
+            script = add(f"{policy['name']}.js", _script(f"XMARL_{key}", shown))
             policies.append(
                 {
                     "table": t,
@@ -88,7 +81,7 @@ def _compact(
                     "training_seed": policy["training_seed"],
                     "trained_n_agents": policy["trained_n_agents"],
                     "gate": policy["gate"],
-                    "metrics": {name: _value(policy["metrics"][name]) for name in POLICY_METRICS},
+                    "metrics": {name: shown_value(policy["metrics"][name]) for name in POLICY_METRICS},
                 }
             )
             for row in policy["rows"]:
@@ -100,7 +93,7 @@ def _compact(
                     [len(policies) - 1, row["explainer"], int(row["control"]), row["rank"],
                      row["rank_interval"], row["tie_group"], row["submitter"], row["verification"], identity,
                      int(f"{identity}.webp" in animations), reasons.index(why), row["file"],
-                     [_numbers(row["metrics"][name]) for name in COLUMNS]]
+                     [numbers(row["metrics"][name]) for name in COLUMNS]]
                 )  # fmt: skip
     return {
         "columns": list(COLUMNS.items()),  # in order, which keys of JSON have none of
@@ -125,9 +118,9 @@ def _compact(
                 "rows": [
                     {
                         **row,
-                        "value": _short(row["value"]),
-                        "interval": row["interval"] and [_short(x) for x in row["interval"]],
-                        "means": {name: _short(mean) for name, mean in row["means"].items()},
+                        "value": short(row["value"]),
+                        "interval": row["interval"] and [short(x) for x in row["interval"]],
+                        "means": {name: short(mean) for name, mean in row["means"].items()},
                     }
                     for row in ranking["rows"]
                 ],
@@ -136,60 +129,6 @@ def _compact(
         ],
         "episode_metrics": EPISODE_METRICS,
     }
-
-
-def _detail(table: Json, policy: Json, entries: Mapping[str, Entry]) -> Json:
-    """What a policy's entries hold beside their means."""
-    scope = (table["task"], table["n_agents"], table["max_cycles"])
-    details = {}
-    for row in policy["rows"]:
-        if row["entry_id"] is not None:
-            entry = entries[row["file"]]
-            (cell,) = (c for c in entry.results if (c.task, c.n_agents, c.max_cycles) == scope)
-            details[row["entry_id"][:16]] = _entry_detail(entry, cell)
-    return details
-
-
-def _entry_detail(entry: Entry, cell: CellResult) -> Json:
-    inverted = cell.controls.get(INVERTED)
-    return {
-        "entry_id": entry.entry_id,
-        "explainer": entry.explainer.model_dump(mode="json"),
-        "policy": entry.policy.model_dump(mode="json"),
-        "cost": entry.cost.model_dump(mode="json"),
-        "provenance": entry.provenance.model_dump(mode="json"),
-        "reported": entry.reported,
-        "verification": entry.verification.model_dump(mode="json"),
-        "command": command_of(entry),
-        "first_seed": cell.episodes[0].seed,
-        "n": {name: [s.n, s.n_nan] for name in COLUMNS if (s := getattr(cell.metrics, name)) is not None},
-        "inverted": None
-        if inverted is None
-        else [_numbers(getattr(inverted, name, None)) for name in COLUMNS],
-        "episodes": {
-            name: [_short(getattr(row, name)) for row in cell.episodes]
-            for name in EPISODE_METRICS
-            if any(getattr(row, name) is not None for row in cell.episodes)
-        },
-        "budgets": curves_of(cell),
-    }
-
-
-def _numbers(summary: Any) -> list[float | None] | None:
-    """A summary (a record or its dump) as value, low and high."""
-    if summary is None:
-        return None
-    fields = summary if isinstance(summary, dict) else summary.model_dump()
-    interval = fields["interval"]
-    return [_short(fields["value"]), *([None, None] if interval is None else map(_short, interval))]
-
-
-def _value(summary: Json | None) -> float | None:
-    return None if summary is None else _short(summary["value"])
-
-
-def _short(value: float | None) -> float | None:
-    return None if value is None else float(f"{value:.{DIGITS}g}")
 
 
 def _script(name: str, value: Any) -> bytes:

@@ -8,7 +8,7 @@ ranking, 1 the best one), unlike the paper's metrics.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,6 +30,7 @@ Json = dict[str, Any]
 class Group:
     """One policy in one table."""
 
+    file: str  # the first by name: its entry says what is the policy's
     policy: Json
     rows: list[Json] = field(default_factory=list)
     controls: dict[str, Json] = field(default_factory=dict)
@@ -43,12 +44,12 @@ class Group:
         return [row for row in self.rows if not row["control"] and value_of(row) is not None]
 
 
-def board_of(entries: Sequence[tuple[str, Entry]]) -> Json:
-    """(file, entry) pairs to the board as JSON; their order does not matter."""
+def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
+    """(file, entry) pairs to the board as JSON; their order does not matter, and none is kept."""
     protocols: dict[str, Json] = {}
     scopes: dict[bytes, Json] = {}
     grouped: dict[bytes, dict[tuple[str, str], Group]] = {}
-    for file, entry in sorted(entries, key=lambda pair: pair[0]):
+    for file, entry in entries:
         protocol = entry.protocol.model_dump(mode="json")
         key = hashlib.sha256(canonical_json(protocol)).hexdigest()[:8]
         protocols[key] = protocol
@@ -62,15 +63,18 @@ def board_of(entries: Sequence[tuple[str, Entry]]) -> Json:
             groups = grouped.setdefault(canonical_json(scope), {})
             scopes[canonical_json(scope)] = scope
             group = groups.setdefault(
-                (entry.policy.name, entry.policy.weights_sha256), Group(_policy(entry, cell))
+                (entry.policy.name, entry.policy.weights_sha256), Group(file, _policy(entry, cell))
             )
+            if file < group.file:
+                group.file, group.policy = file, _policy(entry, cell)
             group.rows.append(_row(file, entry, cell))
             group.episodes[file] = np.array(
                 [getattr(row, ORDER["by"]) for row in cell.episodes], dtype=np.float64
             )
             for name, metrics in cell.controls.items():
-                if name != INVERTED:  # of this explainer alone: read it in the entry
-                    group.controls.setdefault(name, _control_row(file, name, metrics))
+                known = group.controls.get(name)
+                if name != INVERTED and (known is None or file < known["file"]):  # the explainer's own
+                    group.controls[name] = _control_row(file, name, metrics)
     listed = sorted(
         ((scopes[key], [group for _, group in sorted(groups.items())]) for key, groups in grouped.items()),
         key=lambda pair: _table_order(pair[0], protocols[pair[0]["protocol"]]),

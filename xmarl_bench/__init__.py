@@ -10,11 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from xmarl_bench.board import build_board
+    from xmarl_bench.doors import as_explainer
     from xmarl_bench.entry import Entry, read_entry, write_entry
     from xmarl_bench.errors import InputError
     from xmarl_bench.evaluation import Performance, evaluate
     from xmarl_bench.explainer import Explainer
-    from xmarl_bench.policy import Architecture, GraphPolicy, PolicyCard, load_policy, save_policy
+    from xmarl_bench.policy import (
+        Architecture,
+        CompleteGraph,
+        FixedGraph,
+        GraphLayer,
+        GraphPolicy,
+        LayeredArchitecture,
+        PolicyCard,
+        RadiusGraph,
+        load_policy,
+        save_policy,
+    )
     from xmarl_bench.policy_module import PolicyModule
     from xmarl_bench.pyg import PygExplain
     from xmarl_bench.rollout import Episode, roll_out
@@ -22,15 +34,21 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Architecture": "policy",
+    "CompleteGraph": "policy",
     "Entry": "entry",
     "Episode": "rollout",
     "Explainer": "explainer",
+    "FixedGraph": "policy",
+    "GraphLayer": "policy",
     "GraphPolicy": "policy",
     "InputError": "errors",
+    "LayeredArchitecture": "policy",
     "Performance": "evaluation",
     "PolicyCard": "policy",
     "PolicyModule": "policy_module",
     "PygExplain": "pyg",
+    "RadiusGraph": "policy",
+    "as_explainer": "doors",
     "build_board": "board",
     "evaluate": "evaluation",
     "load_policy": "policy",
@@ -42,8 +60,9 @@ _HOME = {
 }
 
 __all__ = [
-    "Architecture", "Entry", "Episode", "Explainer", "GraphPolicy", "InputError", "Performance",
-    "PolicyCard", "PolicyModule", "PygExplain", "build_board", "evaluate", "load_policy", "read_entry",
+    "Architecture", "CompleteGraph", "Entry", "Episode", "Explainer", "FixedGraph", "GraphLayer",
+    "GraphPolicy", "InputError", "LayeredArchitecture", "Performance", "PolicyCard", "PolicyModule",
+    "PygExplain", "RadiusGraph", "as_explainer", "build_board", "evaluate", "load_policy", "read_entry",
     "roll_out", "save_policy", "score", "write_entry",
 ]  # fmt: skip
 

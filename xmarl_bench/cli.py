@@ -12,6 +12,7 @@ from xmarl_bench.commands.compare import compare
 from xmarl_bench.commands.convert import convert
 from xmarl_bench.commands.evaluate import evaluate
 from xmarl_bench.commands.list import list_
+from xmarl_bench.commands.new import new
 from xmarl_bench.commands.render import render
 from xmarl_bench.commands.score import score
 from xmarl_bench.commands.study import study
@@ -33,6 +34,7 @@ app.command()(evaluate)
 app.command()(render)
 app.command()(compare)
 app.command()(convert)
+app.command()(new)
 app.command()(study)
 app.command()(submit)
 app.command()(validate)

@@ -10,7 +10,16 @@ from xmarl_bench.controls import CONTROLS
 from xmarl_bench.entry import EpisodeRow
 from xmarl_bench.registry import explainer_names
 from xmarl_bench.study.beyond_claims import BEYOND_CLAIMS
-from xmarl_bench.study.claims import ORIENTATION, Claim, Quantifier, Relation
+from xmarl_bench.study.claims import (
+    ORIENTATION,
+    Claim,
+    Quantifier,
+    Relation,
+    beats,
+    improves,
+    improves_more,
+    keeps,
+)
 from xmarl_bench.study.lenses import LENSES, Lens
 from xmarl_bench.study.paper import MAIN, TRAINING, ZERO_SHOT, Performance, Reported
 from xmarl_bench.study.plan import EXPLAINERS, STUDIES
@@ -87,3 +96,29 @@ def test_the_papers_numbers() -> None:
             assert all(0.0 <= each.mean <= 1.0 for each in pair)
     assert all(("no_object_collision" in MAIN[key]) is (key[0] == "blind_passage_v0") for key in MAIN)
     assert all(("no_agent_collision" in MAIN[key]) is (key[0] != "blind_discovery_v0") for key in MAIN)
+
+
+def test_a_lens_leaves_alone_what_it_cannot_change() -> None:
+    """No explainer has a part in success or D(alpha); a wider lens does not repeat a narrower one."""
+    by_name = {lens.name: lens for lens in LENSES}
+    claims = {claim.id: claim for claim in CLAIMS}
+    for lens in LENSES:
+        assert lens.apply(claims["main-success"]) is None
+        assert lens.apply(claims["main-distance"]) is None
+    assert by_name["all three variants"].apply(claims["main-graphmask-fid-minus"]) is None
+    assert by_name["all three variants"].apply(claims["main-graphmask-least"]) is not None
+    assert by_name["variants by communication-only budgeted"].apply(claims["main-attention-gef"]) is None
+    seen = by_name["corrected GraphMask"].apply(claims["main-graphmask-fid-minus"])
+    assert seen is not None
+    assert seen.contrasts == (improves("graphmask", "fid_minus"),)
+
+
+def test_labels_say_what_differs() -> None:
+    assert beats("attention", "graphmask", "gef", regularised=True).label == (
+        "attention against graphmask, with the term"
+    )
+    assert improves("attention", "gef").label == "attention, with the term against without the term"
+    assert keeps("success_rate", 0.05).label == "with the term against without the term"
+    assert improves_more("a", "b", "gef").label == (
+        "(a with the term minus a without the term) against (b with the term minus b without the term)"
+    )

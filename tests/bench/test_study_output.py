@@ -63,7 +63,7 @@ def test_results_say_what_is_missing_and_what_was_judged(data: StudyData) -> Non
     assert ledger["main-object-collisions"]["verdict"] == "not measured"
     assert ledger["main-attention-over-gnn-with"]["verdict"] == "held"
     assert ledger["main-gnn-best"]["verdict"] == "not held"
-    budgeted = next(lens for lens in results["lenses"] if lens["name"] == "budgeted")
+    budgeted = next(lens for lens in results["lenses"] if lens["name"] == "budgeted fidelity")
     assert {claim["id"]: claim["verdict"] for claim in budgeted["claims"]}[
         "main-attention-fid-delta"
     ] == "held"

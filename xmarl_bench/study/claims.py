@@ -123,32 +123,35 @@ class Contrast:
 
     @property
     def label(self) -> str:
-        """What is compared, without the metric where it is the policy's."""
-        (a, b), names = (self.a, self.b), {term.explainer for side in (self.a, self.b) for term in side.terms}
+        """What is compared, without the explainer where the metric is the policy's."""
+        one, other = self.a, self.b
+        if one.minus is not None or other.minus is not None:
+            return f"{_named(one)} against {_named(other)}"
+        conditions = _condition(one.term), _condition(other.term)
         if self.metric in OF_THE_POLICY:
-            return f"{_condition(a.term)} against {_condition(b.term)}"
-        if len(names) == 1 and a.minus is None and b.minus is None:
-            return f"{a.term.explainer} {_condition(a.term)} against {_condition(b.term)}"
-        return f"{_named(a)} against {_named(b)}"
+            return " against ".join(conditions)
+        names = one.term.explainer, other.term.explainer
+        if names[0] == names[1]:
+            return f"{names[0]}, {' against '.join(conditions)}"
+        if conditions[0] == conditions[1]:
+            return " against ".join(names) + (f", {conditions[0]}" if conditions[0] else "")
+        return f"{_named(one)} against {_named(other)}"
 
 
 def _condition(term: Term) -> str:
     parts = []
     if term.regularised is not None:
-        parts.append("with the term" if term.regularised else "without")
+        parts.append("with the term" if term.regularised else "without the term")
     if term.percent is not None:
         parts.append(f"at {term.percent} % of training")
     if term.more is not None:
-        parts.append(f"with {term.more} agents more")
+        parts.append(f"{term.more} agent{'s' if term.more > 1 else ''} more")
     return ", ".join(parts)
 
 
 def _named(side: Side) -> str:
-    label = " ".join(filter(None, (side.term.explainer, _condition(side.term))))
-    if side.minus is None:
-        return label
-    less = " ".join(filter(None, (side.minus.explainer, _condition(side.minus))))
-    return f"({label} minus {less})"
+    terms = [" ".join(filter(None, (term.explainer, _condition(term)))) for term in side.terms]
+    return terms[0] if len(terms) == 1 else f"({' minus '.join(terms)})"
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from jinja2 import Environment, StrictUndefined
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import write_atomically, write_json
 from xmarl_bench.study.ledger import Verdict
+from xmarl_bench.study.lenses import BEHAVIOUR
 from xmarl_bench.study.results import SCHEMA
 from xmarl_bench.study.tables import (
     METRIC_NAMES,
@@ -31,6 +32,11 @@ from xmarl_bench.study.tables import (
 Json = dict[str, Any]
 TEMPLATE = Path(__file__).with_name("findings.md.jinja")
 DATA, PAGE = "findings.json", "findings.md"
+HEADLINES = [f"main-{name}" for name in (
+    "graphmask-least", "gnn-best", "attention-over-gnn-with", "attention-fid-plus", "attention-fid-minus",
+    "attention-gef", "attention-fid-delta", "graphmask-fid-minus", "graphmask-fid-plus", "graphmask-gef",
+    "gnn-mixed", "success", "distance",
+)]  # fmt: skip
 KEPT = ("schema", "study", "title", "protocol", "policies", "missing", "performance")
 CONTRAST = (
     "metric", "relation", "compares", "a_mean", "b_mean", "difference", "interval", "p_adjusted", "effect",
@@ -63,6 +69,8 @@ def page_of(findings: list[Json]) -> str:
             "survival": survival(each),
             "lens_table": lens_table(each).markdown(),
             "performance_table": performance_table(each).markdown(),
+            "headlines": headlines(each),
+            "played": _played(each),
             "gated": [policy for policy in each["policies"] if policy["gate"]],
         }
         for each in findings
@@ -70,29 +78,44 @@ def page_of(findings: list[Json]) -> str:
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(studies=studies)
 
 
+def through_lenses(findings: Json, claim: Json) -> Json:
+    """The lenses under which a statement held, was reversed, stayed open; those not measured are left out."""
+    seen = [
+        (lens["name"], each)
+        for lens in findings["lenses"]
+        for each in lens["claims"]
+        if each["id"] == claim["id"] and each["verdict"] != Verdict.NOT_MEASURED
+    ]
+    by = {verdict: [pair for pair in seen if pair[1]["verdict"] == verdict] for verdict in Verdict}
+    return {
+        "claim": claim,
+        "n": len(seen),
+        "held": by[Verdict.HELD],
+        "reversed": by[Verdict.NOT_HELD],
+        "open": by[Verdict.NOT_DECIDED],
+    }
+
+
 def survival(findings: Json) -> list[Json]:
-    """Each statement that held as in the paper: the lenses under which it held, was reversed, stayed open."""
-    records = []
+    """Statements that held as in the paper and that a lens touches."""
+    held = [claim for claim in findings["ledger"] if claim["verdict"] == Verdict.HELD]
+    return [seen for seen in (through_lenses(findings, claim) for claim in held) if seen["n"]]
+
+
+def headlines(findings: Json) -> str:
+    """The main conclusions as a Markdown table."""
+    lines = ["| conclusion | on our policies | through other explainers and metrics |", "|---|---|---|"]
     for claim in findings["ledger"]:
-        seen = [
-            (lens["name"], each)
-            for lens in findings["lenses"]
-            for each in lens["claims"]
-            if each["id"] == claim["id"] and each["verdict"] != Verdict.NOT_MEASURED
-        ]
-        if claim["verdict"] != Verdict.HELD or not seen:
-            continue
-        by = {v: [pair for pair in seen if pair[1]["verdict"] == v] for v in Verdict}
-        records.append(
-            {
-                "claim": claim,
-                "n": len(seen),
-                "held": by[Verdict.HELD],
-                "reversed": by[Verdict.NOT_HELD],
-                "open": by[Verdict.NOT_DECIDED],
-            }
-        )
-    return records
+        if claim["id"] in HEADLINES:
+            seen = through_lenses(findings, claim)
+            parts = [f"held {len(seen['held'])}"] if seen["held"] else []
+            parts += [
+                f"{word}: {', '.join(name for name, _ in seen[key])}"
+                for key, word in (("reversed", "reversed"), ("open", "not decided"))
+                if seen[key]
+            ]
+            lines.append(f"| {claim['text']} | **{claim['verdict']}** | {'; '.join(parts) or '-'} |")
+    return "\n".join(lines)
 
 
 def sentence(claim: Json) -> str:
@@ -110,7 +133,7 @@ def numbers(claim: Json) -> str:
     if shown["difference"] is None:
         return text
     return (
-        f"{text}; {METRIC_NAMES[shown['metric']]} of {shown['compares']} {difference(shown)}, "
+        f"{text}; {METRIC_NAMES[shown['metric']]}, {shown['compares']}: {difference(shown)}, "
         f"effect {shown['effect']:+.2f}, p {p_value(shown)}, {shown['n_policies']} policies"
     )
 
@@ -119,6 +142,16 @@ _COUNTED = (
     ("held", "held"), ("not held", "the reverse"), ("not decided", "not decided"),
     ("not measured", "not measured"),
 )  # fmt: skip
+
+
+def _played(findings: Json) -> bool:
+    """Whether teams played on the explanations that behavioural fidelity compares."""
+    return any(
+        claim["verdict"] != Verdict.NOT_MEASURED
+        for lens in findings["lenses"]
+        if lens["name"] == BEHAVIOUR.name
+        for claim in lens["claims"]
+    )
 
 
 def _brief(claim: Json) -> Json:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from xmarl_bench.policy.distribution import DistributionKind
+from xmarl_bench.policy.distribution import DistributionKind, ScaleKind
 from xmarl_bench.policy.graph import CompleteGraph, Graph
 
 Width = Annotated[int, Field(ge=1, le=2048)]
@@ -87,6 +87,7 @@ class LayeredArchitecture(_Record):
     decoder: Widths = ()
     decoder_activation: Activation = "tanh"
     distribution: DistributionKind = "tanh_normal"
+    scale: ScaleKind = "softplus"
     graph: Graph = CompleteGraph()
 
     def as_one_layer(self) -> Architecture | None:
@@ -95,7 +96,7 @@ class LayeredArchitecture(_Record):
         fits = (
             len(self.layers) == 1
             and (layer.conv, layer.heads, layer.residual) == ("GATv2Conv", 1, False)
-            and self.distribution == "tanh_normal"
+            and (self.distribution, self.scale) == ("tanh_normal", "softplus")
             and isinstance(self.graph, CompleteGraph)
         )
         if not fits:

@@ -24,6 +24,7 @@ class LayeredPolicy(ModulePolicy):
             architecture.obs_dim,
             architecture.action_dim,
             distribution=architecture.distribution,
+            scale=architecture.scale,
             graph=architecture.graph,
         )
         self.architecture = architecture

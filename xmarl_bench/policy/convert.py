@@ -7,7 +7,8 @@ dict, and the architecture stands in its `data` as plain JSON; the pickles besid
 A key map says what tensors are called here. It maps the beginning of a name to another beginning, or to null
 for what is left out; of several that fit, the longest counts. Names here are those of `weight_shapes`:
 `encoder.<k>.*`, `layers.<k>.*` (as torch_geometric has them) and `decoder.<k>.*`, or `gat.*` for the one
-layer of an `Architecture`. TorchRL's actors output location and scale as ours do.
+layer of an `Architecture`. An actor of TorchRL or BenchMARL is a `LayeredArchitecture` whose `scale` is
+"torchrl".
 """
 
 from __future__ import annotations

@@ -10,8 +10,14 @@ from torch import Tensor
 from torch.nn import functional as F
 
 DistributionKind = Literal["tanh_normal", "normal", "deterministic"]
-SCALE_BIAS = math.log(math.e - 1.0)  # softplus(0 + SCALE_BIAS) = 1, as TorchRL's "biased_softplus_1.0"
+# How a decoder's numbers become scales; either way 0 becomes 1.
+# softplus: softplus(raw + log(e - 1)), 1e-4 at the least. torchrl: TorchRL's and BenchMARL's default
+# "biased_softplus_1.0", softplus(raw + log(e^0.99 - 1)) + 0.01.
+ScaleKind = Literal["softplus", "torchrl"]
+SCALE_BIAS = math.log(math.e - 1.0)
 MIN_SCALE = 1e-4
+TORCHRL_FLOOR = 0.01
+TORCHRL_BIAS = math.log(math.expm1(1.0 - TORCHRL_FLOOR))
 
 
 class ActionDistribution(NamedTuple):
@@ -37,9 +43,13 @@ def raw_width(kind: DistributionKind, action_dim: int) -> int:
     return action_dim if kind == "deterministic" else 2 * action_dim
 
 
-def action_distribution(raw: Tensor, kind: DistributionKind = "tanh_normal") -> ActionDistribution:
+def action_distribution(
+    raw: Tensor, kind: DistributionKind = "tanh_normal", scale: ScaleKind = "softplus"
+) -> ActionDistribution:
     """(..., raw_width) output of a decoder -> the distribution: locations, then scales before softplus."""
     if kind == "deterministic":
         return ActionDistribution(raw, torch.zeros_like(raw), kind)
     loc, raw_scale = raw.chunk(2, dim=-1)
+    if scale == "torchrl":
+        return ActionDistribution(loc, F.softplus(raw_scale + TORCHRL_BIAS) + TORCHRL_FLOOR, kind)
     return ActionDistribution(loc, F.softplus(raw_scale + SCALE_BIAS).clamp_min(MIN_SCALE), kind)

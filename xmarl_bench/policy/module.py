@@ -21,6 +21,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.policy.distribution import (
     ActionDistribution,
     DistributionKind,
+    ScaleKind,
     action_distribution,
     raw_width,
 )
@@ -55,12 +56,14 @@ class ModulePolicy(Policy):
         action_dim: int = 2,
         *,
         distribution: DistributionKind = "tanh_normal",
+        scale: ScaleKind = "softplus",
         graph: Graph | None = None,
     ) -> None:
         super().__init__()
         self.network = network
         self.obs_dim, self.action_dim = obs_dim, action_dim
         self.distribution_kind: DistributionKind = distribution
+        self.scale_kind: ScaleKind = scale
         self.graph = CompleteGraph() if graph is None else graph
         _check_layers(network)
         self.eval()
@@ -79,7 +82,7 @@ class ModulePolicy(Policy):
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
         """(n, D), (2, edges) -> (n, A) deterministic actions."""
-        return action_distribution(self.network(x, edge_index), self.distribution_kind).action
+        return self._head(self.network(x, edge_index)).action
 
     def prepare(self, observation: Tensor) -> PreparedGraphs:
         """(S, N, D), kept as it is, and who hears whom in it."""
@@ -102,7 +105,7 @@ class ModulePolicy(Policy):
             applied = None if applied is None else applied[there]
         with _masked(self.network, applied, edge_index):
             raw: Tensor = self.network(x, edge_index)
-        return action_distribution(raw.view(*shape, n_agents, -1), self.distribution_kind)
+        return self._head(raw.view(*shape, n_agents, -1))
 
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers."""
@@ -129,6 +132,9 @@ class ModulePolicy(Policy):
                 f"{type(self.network).__name__} has no layer that attends: choose another explainer."
             )
         return torch.stack(found).mean(dim=0)
+
+    def _head(self, raw: Tensor) -> ActionDistribution:
+        return action_distribution(raw, self.distribution_kind, self.scale_kind)
 
     def _check_output(self) -> None:
         x = self._probe()

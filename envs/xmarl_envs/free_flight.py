@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_envs.chamber import CONTACT_CHECKS, DAMPING, MOVE, SUBSTEPS
+from xmarl_envs.chamber import CONTACT_CHECKS, DAMPING, MOVE, PUSH, SUBSTEPS
 from xmarl_envs.task import Bools, Floats, Task
 
 MOVES = SUBSTEPS * CONTACT_CHECKS  # per step; Chipmunk looks for contacts after each
-VELOCITY_KEPT_PER_SUBSTEP = DAMPING**MOVE
+VELOCITY_KEPT = np.array(DAMPING**MOVE)  # per substep; an array, for numpy takes longer for a number
+DURATION = np.array(MOVE)  # s, of a move
 MARGIN = 1e-9  # m, on the safe side of rounding
 
 
@@ -21,11 +22,11 @@ def fly(position: Floats, velocity: Floats, force: Floats) -> tuple[Floats, Floa
     so that the bits are those of a Space.
     """
     path = np.empty((MOVES, *position.shape))
-    push = force * CONTACT_CHECKS * MOVE
+    push = force * PUSH * DURATION
     for move in range(MOVES):
         if move % CONTACT_CHECKS == 0:
-            leap = velocity * MOVE
-            velocity = velocity * VELOCITY_KEPT_PER_SUBSTEP + push
+            leap = velocity * DURATION
+            velocity = velocity * VELOCITY_KEPT + push
         position = np.add(position, leap, out=path[move])
     return path, velocity
 

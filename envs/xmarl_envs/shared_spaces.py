@@ -50,29 +50,35 @@ class SharedSpaces:
         end_position = path[-1]
         touches = self._touches(path, walls)
         needs_space = touches | self._touched
-        self._assign_slots(needs_space if live is None else needs_space & live)
+        if live is not None:
+            needs_space &= live
+        self._assign_slots(needs_space)
         self._touched = touches
         for chamber, its_slots in self._chambers:
             occupant = self._occupant[its_slots]
-            if (occupant == FREE).all():
+            in_use = np.count_nonzero(occupant != FREE)
+            if not in_use:
                 continue
-            slots = np.flatnonzero(occupant >= 0)
+            (slots,) = (occupant >= 0).nonzero()
             inside = occupant[slots]
             offset = chamber.offset[slots]
             chamber.agents[..., 2:] = 0.0  # slots without an episode come to rest
             chamber.agents[slots, :, :2] = position[inside] + offset
             chamber.agents[slots, :, 2:] = velocity[inside]
-            chamber.walls[slots, :, :2] = walls[inside] + offset
+            if self._task.n_walls:
+                chamber.walls[slots, :, :2] = walls[inside] + offset
             chamber.write()
             thrust = np.zeros((occupant.size, *force.shape[1:]))
             thrust[slots] = force[inside]
             chamber.step(thrust)
             real_position, real_velocity = chamber.position[slots] - offset, chamber.velocity[slots]
             # A correction that was due from the last step may have brought about another contact.
-            self._touched[inside] |= _differ(real_position, end_position[inside])
-            self._touched[inside] |= _differ(real_velocity, end_velocity[inside])
+            off_course = np.abs(real_position - end_position[inside]) > ROUNDING
+            off_course |= np.abs(real_velocity - end_velocity[inside]) > ROUNDING
+            self._touched[inside] |= off_course.any(axis=(1, 2))
             end_position[inside], end_velocity[inside] = real_position, real_velocity
-            occupant[occupant == COOLING] = FREE
+            if slots.size < in_use:
+                occupant[occupant == COOLING] = FREE
         position[...] = end_position
         velocity[...] = end_velocity
 
@@ -84,10 +90,12 @@ class SharedSpaces:
 
     def _assign_slots(self, needs_space: Bools) -> None:
         has_slot = self._slot != NO_SLOT
-        leaving = np.flatnonzero(has_slot & ~needs_space)
+        changing = np.flatnonzero(needs_space != has_slot)
+        if not changing.size:
+            return
+        leaving, entering = changing[has_slot[changing]], changing[needs_space[changing]]
         self._occupant[self._slot[leaving]] = FREE
         self._slot[leaving] = NO_SLOT
-        entering = np.flatnonzero(needs_space & ~has_slot)
         free = np.flatnonzero(self._occupant == FREE)
         while free.size < entering.size:
             self._build_chamber(entering.size - free.size)
@@ -100,8 +108,3 @@ class SharedSpaces:
         n_slots = min(max(n_wanted, SMALLEST_SPACE * 2 ** len(self._chambers)), self._largest_space)
         self._chambers.append((Chamber(self._task, n_slots), slice(first, first + n_slots)))
         self._occupant = np.append(self._occupant, np.full(n_slots, FREE))
-
-
-def _differ(a: Floats, b: Floats) -> Bools:
-    """(k, N, 2), (k, N, 2) -> (k,)"""
-    return np.asarray((np.abs(a - b) > ROUNDING).any(axis=(1, 2)))

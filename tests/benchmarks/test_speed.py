@@ -1,70 +1,191 @@
-"""How fast episodes step, beside VMAS navigation: `make bench`.
+"""How fast episodes step, beside VMAS and MPE2: `make bench`, the table at its end.
 
-Each round takes STEPS steps with random actions; `env_steps_per_s` counts steps of a whole team. VMAS runs
-with `collisions=False`, which removes its lidar (blind agents have none) and its contacts too: it computes
-less than ours does. Torch gets one thread; ours is single-threaded.
+Everybody steps three agents for 400 cycles with observations, rewards and endings, and begins anew whatever
+has ended; no episode is longer than 400 cycles. Actions are random, drawn beforehand, and held for 10 cycles,
+so that agents get about; ours and VMAS take the same ones. Torch gets one thread; ours is single-threaded.
+
+VMAS runs its own navigation with contacts; only the lidar is taken out, which blind agents do not have. It
+does not reset by itself: `reset()` where all of a batch have ended (nearly all do after 400 cycles), which is
+its quickest, `reset_at` else. MPE2's simple_spread is another task, of three agents that may touch, too.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
+import pymunk
 import pytest
 import torch
-import vmas
+from mpe2 import simple_spread_v3
+from numpy.typing import NDArray
 from pytest_benchmark.fixture import BenchmarkFixture
-from xmarl_envs import BlindNavigation, TaskParallelEnv, VectorEnv, make_task
+from xmarl_envs import BlindNavigation, TaskParallelEnv
+from xmarl_envs.free_flight import MOVES
+from xmarl_envs.gymnasium_vector_env import TeamVectorEnv
+from xmarl_envs.world import TIME_STEP, World
 
-N_AGENTS, STEPS = 3, 20
-BATCHES = [64, 1024]
+from tests.benchmarks.conftest import Report
+from tests.benchmarks.side_by_side import Run, side_by_side
+from tests.envs.vmas_twin import VmasTwin
+
+pytestmark = pytest.mark.benchmark(timer=time.process_time)
+
+TASK = BlindNavigation(3)
+CYCLES, HELD = 400, 10
+SHARED = 64  # copies_per_space, as in training
+Actions = NDArray[np.float32]
 
 
-def measure(benchmark: BenchmarkFixture, n_episodes: int, step: Callable[[], object]) -> None:
-    def steps() -> None:
-        for _ in range(STEPS):
-            step()
-
-    benchmark(steps)
-    if benchmark.stats is not None:
-        benchmark.extra_info["env_steps_per_s"] = round(n_episodes * STEPS / benchmark.stats.stats.median)
-
-
-@pytest.mark.parametrize("n_episodes", BATCHES)
-@pytest.mark.parametrize("copies_per_space", [1, 64])
-@pytest.mark.parametrize("name", ["blind_navigation_v0", "blind_passage_v0", "blind_discovery_v0"])
-def test_ours(benchmark: BenchmarkFixture, name: str, copies_per_space: int, n_episodes: int) -> None:
-    env = VectorEnv(make_task(name, N_AGENTS), n_episodes, copies_per_space=copies_per_space)
-    env.reset(range(n_episodes))
+def random_actions(n_episodes: int) -> Actions:
+    """(CYCLES, B, N, 2)"""
     rng = np.random.default_rng(0)
-    measure(benchmark, n_episodes, lambda: env.step(rng.uniform(-1, 1, (n_episodes, N_AGENTS, 2))))
+    drawn = rng.uniform(-1, 1, (CYCLES // HELD, n_episodes, TASK.n_agents, 2))
+    return np.repeat(drawn.astype(np.float32), HELD, axis=0)
 
 
-@pytest.mark.parametrize("n_episodes", [1, *BATCHES])
-def test_vmas_navigation(benchmark: BenchmarkFixture, n_episodes: int) -> None:
-    env = vmas.make_env(
-        "navigation",
-        num_envs=n_episodes,
-        seed=0,
-        n_agents=N_AGENTS,
-        collisions=False,
-        continuous_actions=True,
-    )
-    env.reset()
-    measure(
-        benchmark, n_episodes, lambda: env.step([2 * torch.rand(n_episodes, 2) - 1 for _ in range(N_AGENTS)])
-    )
-
-
-def test_our_pettingzoo_episode(benchmark: BenchmarkFixture) -> None:
-    env = TaskParallelEnv(BlindNavigation(N_AGENTS), max_cycles=10**9)
+def our_episode() -> Run:
+    env = TaskParallelEnv(TASK, max_cycles=CYCLES)
     env.reset(seed=0)
+    actions = [dict(zip(env.agents, action[0], strict=True)) for action in random_actions(1)]
+
+    def run() -> None:
+        for action in actions:
+            env.step(action)
+            if not env.agents:
+                env.reset()
+
+    return run
+
+
+def our_batch(n_episodes: int, copies_per_space: int) -> Run:
+    env = TeamVectorEnv(
+        TASK, n_episodes, CYCLES, copies_per_space=copies_per_space, autoreset_mode="SameStep"
+    )
+    env.reset(seed=0)
+    actions = random_actions(n_episodes)
+
+    def run() -> None:
+        for action in actions:
+            env.step(action)
+
+    return run
+
+
+def vmas_batch(n_episodes: int) -> Run:
+    env = VmasTwin(TASK.name, TASK.n_agents, n_episodes).env
+    env.max_steps = CYCLES
+    env.reset()
+    actions = [
+        [torch.tensor(action[:, i]) for i in range(TASK.n_agents)] for action in random_actions(n_episodes)
+    ]
+
+    def run() -> None:
+        for action in actions:
+            *_, done, _ = env.step(action)
+            if done.all():
+                env.reset()
+            elif done.any():
+                for episode in torch.nonzero(done)[:, 0].tolist():
+                    env.reset_at(episode)
+
+    return run
+
+
+def mpe2_episode(continuous_actions: bool) -> Run:
+    env = simple_spread_v3.parallel_env(max_cycles=CYCLES, continuous_actions=continuous_actions)
+    env.reset(seed=0)
+    for i, agent in enumerate(env.agents):
+        env.action_space(agent).seed(i)
+    drawn = [{agent: env.action_space(agent).sample() for agent in env.agents} for _ in range(CYCLES // HELD)]
+
+    def run() -> None:
+        for action in drawn:
+            for _ in range(HELD):
+                env.step(action)
+                if not env.agents:
+                    env.reset()
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("peer", "theirs", "bar"),
+    [
+        ("VMAS, num_envs=1", lambda: vmas_batch(1), 15.0),
+        ("MPE2 simple_spread", lambda: mpe2_episode(continuous_actions=False), 5.0),
+        ("MPE2 simple_spread, continuous", lambda: mpe2_episode(continuous_actions=True), 5.0),
+    ],
+)
+def test_one_episode(
+    benchmark: BenchmarkFixture, report: Report, peer: str, theirs: Callable[[], Run], bar: float
+) -> None:
+    benchmark.group = "ParallelEnv, one episode"
+    what = f"ParallelEnv / {peer}"
+    side_by_side(benchmark, report, what, our_episode(), theirs(), n_steps=CYCLES, bar=bar, rounds=11)
+
+
+@pytest.mark.parametrize(("n_episodes", "bar"), [(64, 5.0), (1024, 1.5)])
+def test_a_batch(benchmark: BenchmarkFixture, report: Report, n_episodes: int, bar: float) -> None:
+    benchmark.group = f"{n_episodes} episodes"
+    ours, theirs = our_batch(n_episodes, SHARED), vmas_batch(n_episodes)
+    what = f"{n_episodes} episodes, shared Spaces / VMAS"
+    side_by_side(benchmark, report, what, ours, theirs, n_steps=CYCLES * n_episodes, bar=bar)
+
+
+def test_a_batch_as_scored(benchmark: BenchmarkFixture, report: Report) -> None:
+    """A Space for each episode: no bar was set for it."""
+    benchmark.group = "64 episodes"
+    ours, theirs = our_batch(64, copies_per_space=1), vmas_batch(64)
+    what = "64 episodes, a Space each (scoring) / VMAS"
+    side_by_side(benchmark, report, what, ours, theirs, n_steps=CYCLES * 64, bar=None, rounds=3)
+
+
+def our_physics(n_episodes: int) -> Run:
+    world = World(TASK, n_episodes, SHARED)
+    agents = np.array([TASK.spawn(np.random.default_rng(k)).agents for k in range(n_episodes)])
+    forces = TASK.u_mult * random_actions(n_episodes).astype(np.float64)
+
+    def run() -> None:
+        world.place(np.arange(n_episodes), agents, np.zeros((n_episodes, 0, 2)))
+        for force in forces:
+            world.step(force)
+
+    return run
+
+
+def bare_space(n_episodes: int, moves_per_step: int) -> Run:
+    """One Space with all agents, flying about with what speed they have: no force is set, nothing is read."""
     rng = np.random.default_rng(0)
+    space = pymunk.Space()
+    discs, places = [], []
+    for episode in range(n_episodes):
+        for x, y in TASK.spawn(np.random.default_rng(episode)).agents:
+            disc = pymunk.Body(1.0, float("inf"))
+            space.add(disc, pymunk.Circle(disc, TASK.radius))
+            discs.append(disc)
+            places.append((x + 64.0 * (episode % 8), y + 64.0 * (episode // 8)))
+    speeds = rng.uniform(-0.3, 0.3, (len(discs), 2)).tolist()
 
-    def step() -> None:
-        if not env.agents:
-            env.reset()
-        action = rng.uniform(-1, 1, (N_AGENTS, 2)).astype(np.float32)
-        env.step(dict(zip(env.agents, action, strict=True)))
+    def run() -> None:
+        for disc, place, speed in zip(discs, places, speeds, strict=True):
+            disc.position, disc.velocity = place, tuple(speed)
+        for _ in range(CYCLES * moves_per_step):
+            space.step(TIME_STEP / moves_per_step)
 
-    measure(benchmark, 1, step)
+    return run
+
+
+@pytest.mark.parametrize(("moves_per_step", "bar"), [(MOVES, 0.6), (2, None)])
+def test_physics_alone(
+    benchmark: BenchmarkFixture, report: Report, moves_per_step: int, bar: float | None
+) -> None:
+    """Ours looks for contacts MOVES times in a step: a Space has to be stepped as often for that.
+
+    The other is stepped twice, as often as VMAS steps, and its discs get three times as deep into each other.
+    """
+    benchmark.group = "physics of 64 episodes"
+    ours, theirs = our_physics(64), bare_space(64, moves_per_step)
+    what = f"World.step, 64 episodes / bare Space.step, {moves_per_step} a step"
+    side_by_side(benchmark, report, what, ours, theirs, n_steps=CYCLES * 64, bar=bar)

@@ -1,0 +1,271 @@
+"""Which tier finds what: a tampered metric, row, policy, seed list or control; what a sign-off changes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.bench.submission.conftest import TASK, TEAM, Pack
+from tests.bench.submission.edits import edited, with_entry, with_manifest
+from tests.conftest import RunCli
+from tests.policies import small_policy
+from xmarl_bench.entry import Entry, read_entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import PolicyCard, save_policy
+from xmarl_bench.registry import find_explainer
+from xmarl_bench.request import Cell, Request, Sampling
+from xmarl_bench.scoring import score_requests
+from xmarl_bench.submission import tolerance, verification
+from xmarl_bench.submission.checking import Checked, check
+from xmarl_bench.submission.recompute import Difference
+from xmarl_bench.submission.tolerance import agrees, disagreeing
+from xmarl_bench.submission.verification import Options, Tier, Verdict, verify
+
+SPOT, FULL = Options(Tier.spot, episodes=7), Options(Tier.full)
+
+
+def rows(value: dict[str, Any]) -> Any:
+    return value["results"][0]["episodes"]
+
+
+def of_bundle(path: Path, entry: Entry, options: Options) -> Verdict:
+    checked = check(path)
+    assert checked.findings == []
+    return verify(checked, f"entries/{entry.file_name}", options)
+
+
+def test_an_honest_bundle_passes_every_tier_bit_for_bit(
+    files: Mapping[str, bytes], entries: list[Entry], pack: Pack
+) -> None:
+    path = pack(files)
+    for options, episodes in ((Options(Tier.recompute), 0), (Options(Tier.spot, episodes=3), 3), (FULL, 7)):
+        verdict = of_bundle(path, entries[0], options)
+        assert (verdict.findings, verdict.bitwise, verdict.max_abs_diff) == ((), True, 0.0)
+        assert verdict.episodes == episodes
+
+
+def test_a_tampered_metric_is_found_by_recomputing(
+    files: Mapping[str, bytes], entries: list[Entry], pack: Pack
+) -> None:
+    def better(value: dict[str, Any]) -> None:
+        summary = value["results"][0]["metrics"]["comm_budgeted_fidelity"]
+        summary.update(value=summary["value"] + 1e-6)
+
+    findings = check(pack(with_entry(files, edited(entries[0], better)))).findings
+    assert len(findings) == 1
+    assert "results.0.metrics.comm_budgeted_fidelity.value is" in findings[0]
+
+
+def test_a_tampered_row_is_found_by_playing_it_again(
+    files: Mapping[str, bytes], entries: list[Entry], pack: Pack
+) -> None:
+    """The aggregates were derived from it, so nothing but a rerun can tell."""
+
+    def better(value: dict[str, Any]) -> None:
+        rows(value)[3].update(gef=rows(value)[3]["gef"] * 0.999999)
+
+    tampered = edited(entries[0], better, aggregates=True)
+    path = pack(with_entry(files, tampered))
+    assert of_bundle(path, tampered, Options(Tier.recompute)).findings == ()
+    spot = of_bundle(path, tampered, SPOT)
+    assert [finding.split(" is ")[0] for finding in spot.findings] == ["results.0.episodes.3.gef"]
+    assert spot.max_abs_diff is not None
+    assert 0 < spot.max_abs_diff < 1e-5
+    with pytest.raises(InputError, match="did not pass is not signed off"):
+        spot.block("me")
+    for draws_it in (True, False):  # one of seven episodes: it takes the right draw
+        seeds = (
+            seed for seed in range(99) if (np.random.default_rng(seed).permutation(7)[0] == 3) == draws_it
+        )
+        found = of_bundle(path, tampered, Options(Tier.spot, 1, next(seeds))).findings != ()
+        assert found == draws_it
+
+
+def test_tampered_behaviour_and_controls_are_found_by_running_everything(
+    files: Mapping[str, bytes], entries: list[Entry], pack: Pack
+) -> None:
+    def both(value: dict[str, Any]) -> None:
+        rows(value)[0].update(reward_on_explanation=rows(value)[0]["reward_on_explanation"] + 1.0)
+        random = value["results"][0]["controls"]["random"]["gef"]
+        random.update(value=random["value"] - 1e-6)
+
+    tampered = edited(entries[0], both, aggregates=True)
+    path = pack(with_entry(files, tampered))
+    assert of_bundle(path, tampered, SPOT).findings == ()  # as its documentation says
+    findings = of_bundle(path, tampered, FULL).findings
+    for where in (
+        "episodes.0.reward_on_explanation",
+        "metrics.reward_on_explanation.value",
+        "controls.random.gef",
+    ):
+        assert any(where in finding for finding in findings), findings
+
+
+def swapped(files: Mapping[str, bytes], entry: Entry, tmp_path: Path) -> tuple[dict[str, bytes], Entry]:
+    """Another policy under the name of the first, hashes made to fit: only its actions differ."""
+    folder = tmp_path / "other"
+    card: PolicyCard = save_policy(
+        folder, small_policy(8, seed=1), name="small", task=TASK, n_agents=TEAM, attention_entropy=0.5,
+        training_seed=0,
+    )  # fmt: skip
+    tampered = edited(entry, lambda value: value["policy"].update(weights_sha256=card.weights_sha256))
+    changed = {
+        f"policies/small/{name}": (folder / name).read_bytes()
+        for name in ("policy.json", "policy.safetensors")
+    }
+    return {**files, **changed}, tampered
+
+
+def test_a_swapped_policy_is_found(
+    files: Mapping[str, bytes], entries: list[Entry], pack: Pack, tmp_path: Path
+) -> None:
+    other, tampered = swapped(files, entries[0], tmp_path)
+    assert any(
+        "policy.weights_sha256 is not" in each for each in check(pack(with_manifest(other), "a")).findings
+    )
+    # With the entries' hashes swapped too, only running it tells.
+    name = entries[1].file_name
+    kept = {key: data for key, data in other.items() if name.removesuffix(".json") not in key}
+    path = pack(with_entry(kept, tampered), "b.zip")
+    assert any("the rerun gives" in finding for finding in of_bundle(path, tampered, SPOT).findings)
+
+
+def test_changed_seeds_are_found(files: Mapping[str, bytes], entries: list[Entry], pack: Pack) -> None:
+    def other_list(value: dict[str, Any]) -> None:
+        seeds = [seed + 10 for seed in value["protocol"]["seeds"]]
+        value["protocol"].update(seeds=seeds)
+        for row, seed in zip(rows(value), seeds, strict=True):
+            row.update(seed=seed)
+
+    def other_run(value: dict[str, Any]) -> None:
+        value["explainer"].update(seed=5)
+        seeds = [10**12 + 5 * 10**6 + k for k in range(7)]
+        value["protocol"].update(seeds=seeds)
+        for row, seed in zip(rows(value), seeds, strict=True):
+            row.update(seed=seed)
+
+    chosen = edited(entries[0], other_list, aggregates=True)
+    assert any("not those of seed 0" in each for each in check(pack(with_entry(files, chosen), "a")).findings)
+    # The episodes of one seed said to be those of another: every aggregate follows, no episode does.
+    renamed = edited(entries[0], other_run, aggregates=True)
+    name = entries[0].file_name
+    kept = {key: data for key, data in files.items() if name.removesuffix(".json") not in key}
+    path = pack(with_entry(kept, renamed), "b.zip")
+    assert of_bundle(path, renamed, SPOT).findings != ()
+
+
+def test_a_sign_off_is_a_block_of_its_own(
+    files: Mapping[str, bytes], entries: list[Entry], pack: Pack, tmp_path: Path, run_cli: RunCli
+) -> None:
+    path = pack(files)
+    before = path.read_bytes()
+    ran = run_cli("verify", path, "--tier", "spot", "--episodes", 2, "--by", "A. Maintainer")
+    assert (ran.code, "give --out" in ran.err) == (2, True)
+    out = tmp_path / "board" / "entries"
+    ran = run_cli("verify", path, "--tier", "spot", "--episodes", 2, "--by", "A. Maintainer", "--out", out)
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.out.count("spot-rerun, 2 episodes again, bit for bit, largest difference 0.0") == 2
+    assert path.read_bytes() == before
+    signed = read_entry(out / entries[0].file_name)
+    block = signed.verification
+    assert (block.status, block.by, block.episodes) == ("spot-rerun", "A. Maintainer", 2)
+    assert (block.bitwise, block.max_abs_diff) == (True, 0.0)
+    assert block.packages is not None
+    assert block.packages["torch"] == signed.provenance.packages["torch"]
+    assert block.when is not None
+    unsigned = signed.model_copy(update={"verification": entries[0].verification})
+    assert unsigned == entries[0]
+    # An entry file is signed where it is; a second tier replaces the block of the first.
+    file = out / entries[0].file_name
+    assert run_cli("verify", file, "--by", "B").code == 0
+    assert (read_entry(file).verification.status, read_entry(file).verification.by) == ("recomputed", "B")
+
+
+def test_verify_exits_1_for_what_is_wrong_and_2_for_what_cannot_be_run(
+    files: Mapping[str, bytes], entries: list[Entry], pack: Pack, tmp_path: Path, run_cli: RunCli
+) -> None:
+    tampered = edited(entries[0], lambda value: rows(value)[3].update(gef=0.5), aggregates=True)
+    path = pack(with_entry(files, tampered))
+    ran = run_cli(
+        "verify", path, "--tier", "spot", "--episodes", 7, "--by", "me", "--out", tmp_path / "out", "--json"
+    )
+    assert ran.code == 1
+    assert sorted(each["passed"] for each in json.loads(ran.out)) == [False, True]
+    assert [file.name for file in (tmp_path / "out").iterdir()] == [entries[1].file_name]
+    assert run_cli("verify", path, "--tier", "deep").code == 2
+    assert run_cli("verify", tmp_path / "none.zip").code == 2
+    broken = tmp_path / "broken.json"
+    broken.write_text("{}")
+    assert run_cli("verify", broken).code == 1
+
+
+STRANGER = '''
+import torch
+from xmarl_bench import Explainer
+
+def explain(policy, observations, generator):
+    attention = policy.attention(observations).detach()
+    return attention * torch.rand(attention.shape, generator=generator)
+
+stranger = Explainer("stranger", explain, stochastic=True)
+other = Explainer("stranger", explain, stochastic=False)
+'''  # fmt: skip
+
+
+def test_code_of_strangers_runs_when_trusted_and_walled_in(
+    files: Mapping[str, bytes], policy_folder: Path, pack: Pack, tmp_path: Path, run_cli: RunCli
+) -> None:
+    from xmarl_bench.policy import load_policy
+    from xmarl_bench.submission.packing import as_submitted, bundle_files
+
+    code = tmp_path / "stranger.py"
+    code.write_text(STRANGER)
+    policy, card = load_policy(policy_folder)
+    found = find_explainer(f"{code}:stranger")
+    (entry,) = score_requests([Request(policy, card, found, (Cell(TASK, TEAM),), Sampling(3, 4, 8), 2)])
+    made = bundle_files(
+        [as_submitted(entry, "me", "https://example.org")], {"small": policy_folder}, submitter="me",
+        licence=files["LICENSE"],
+    )  # fmt: skip
+    path = pack(made)
+    ran = run_cli("verify", path, "--tier", "spot")
+    assert (ran.code, "read it, then add --trust-code" in ran.err) == (2, True)
+    reference = ["--explainer", f"{code}:stranger"]
+    ran = run_cli("verify", path, "--tier", "full", "--trust-code", *reference)
+    assert (ran.code, ran.err) == (0, "")
+    assert "re-executed, 3 episodes again, bit for bit, largest difference 0.0" in ran.out
+    code.write_text(STRANGER + "# changed since\n")
+    ran = run_cli("verify", path, "--tier", "spot", "--trust-code", "--explainer", f"{code}:other")
+    assert ran.code == 1
+    assert "explainer.stochastic is True, here it is False" in ran.out
+    assert "code_sha256 is that of another file" in ran.out
+
+
+def test_elsewhere_there_is_a_tolerance(entries: list[Entry], monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = entries[0]
+    assert tolerance.is_same_platform(entry)
+    for change in ({"cpu_capability": "NEON"}, {"packages": {**entry.provenance.packages, "torch": "3.0"}}):
+        other = entry.model_copy(update={"provenance": entry.provenance.model_copy(update=change)})
+        assert not tolerance.is_same_platform(other)
+    near, far = Difference("x", 100.0, 100.09), Difference("x", 1.0, 1.002)
+    assert [agrees(each, 1e-3) for each in (near, far)] == [True, False]
+    assert not agrees(near, None)
+    assert not agrees(Difference("x", None, 0.0), 1e-3)
+    assert agrees(Difference("x", None, None), None)
+    episodes = [[near]] * 9 + [[near, far]]
+    assert disagreeing(episodes, bitwise=False) == []  # one of ten may branch off
+    assert disagreeing([[near], [far]], bitwise=False) == [far]  # of two none
+    assert len(disagreeing(episodes, bitwise=True)) == 10
+    assert replace(SPOT, trust_code=True).trust_code
+    assert verification.STATUS[Tier.full] == "re-executed"
+    with pytest.raises(InputError, match="episodes must be at least 1"):
+        Options(Tier.spot, episodes=0)
+    with pytest.raises(InputError, match="give a name"):
+        Verdict(entry, Tier.spot, True, 1, 0.0, ()).block(" ")
+    assert Checked(Path("x.zip")).is_bundle

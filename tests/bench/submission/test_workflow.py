@@ -1,0 +1,70 @@
+"""The workflow for submissions has no rights, and takes names of files for data."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+
+from xmarl_bench.files import write_atomically
+
+WORKFLOW = Path(__file__).parents[3] / ".github" / "workflows" / "submission.yml"
+
+
+def git(folder: Path, *arguments: str) -> str:
+    identity = ("-c", "user.email=a@example.org", "-c", "user.name=a", "-c", "commit.gpgsign=false")
+    done = subprocess.run(
+        ["git", "-C", folder, *identity, *arguments], check=True, capture_output=True, text=True
+    )
+    return done.stdout.strip()
+
+
+def script(name: str) -> str:
+    """The shell of a step, as it stands in the workflow."""
+    step = WORKFLOW.read_text().split(f"- name: {name}", 1)[1]
+    found = re.search(r"run: \|\n((?: {10}.*\n)+)", step)
+    assert found is not None
+    return "".join(line[10:] + "\n" for line in found[1].splitlines())
+
+
+def test_it_may_read_and_nothing_else() -> None:
+    text = WORKFLOW.read_text()
+    assert re.search(r"^permissions:\n  contents: read\n(?! )", text, re.MULTILINE)
+    assert re.findall(r"^on:\n  (\w+):", text, re.MULTILINE) == ["pull_request"]
+    for forbidden in ("pull_request_target", "secrets", "write", "workflow_run", "trust-code"):
+        assert forbidden not in text
+    runs = text.split("run: |")[1:]
+    assert all("${{" not in re.split(r"\n {6}- ", run)[0] for run in runs)  # nothing is pasted into a shell
+
+
+def test_bundles_of_a_pull_request_are_found(tmp_path: Path, files: Mapping[str, bytes]) -> None:
+    base, head = tmp_path / "base", tmp_path / "head"
+    base.mkdir()
+    git(base, "init", "-q")
+    write_atomically(base / "leaderboard" / "entries" / "a.json", b"{}")
+    git(base, "add", ".")
+    git(base, "commit", "-qm", "base")
+    commit = git(base, "rev-parse", "HEAD")
+    git(tmp_path, "clone", "-q", str(base), str(head))
+    strange = "$(touch pwned) x"
+    for folder in ("mine", strange):
+        for name, data in files.items():
+            write_atomically(head / "leaderboard" / "submissions" / folder / name, data)
+    git(head, "add", ".")
+    git(head, "commit", "-qm", "head")
+    find = script("Which bundles does the pull request bring?")
+
+    def run(fork: str) -> int:
+        environment = {"BASE": commit, "FORK": fork, "PATH": "/usr/local/bin:/usr/bin:/bin"}
+        return subprocess.run(
+            ["bash", "-c", find], cwd=tmp_path, env=environment, capture_output=True
+        ).returncode
+
+    assert run("true") == 0
+    listed = (tmp_path / "bundles").read_bytes().split(b"\0")[:-1]
+    assert sorted(listed) == [f"head/leaderboard/submissions/{name}".encode() for name in (strange, "mine")]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["base", "bundles", "head"]
+    write_atomically(head / "leaderboard" / "entries" / "a.json", b"[]")
+    git(head, "commit", "-qam", "an entry")
+    assert (run("true"), run("false")) == (1, 0)

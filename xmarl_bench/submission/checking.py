@@ -60,8 +60,8 @@ def check(path: Path) -> Checked:
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}).") from None
     if not checked.findings:  # what costs the most is asked last, of rows that are rows
-        for name, entry in checked.entries.items():
-            _add(checked, name, recompute_findings(entry))
+        for file, entry in checked.entries.items():
+            _add(checked, file, recompute_findings(entry))
     return checked
 
 

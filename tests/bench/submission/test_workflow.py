@@ -29,7 +29,7 @@ def script(name: str) -> str:
 
 
 def test_it_may_read_and_nothing_else() -> None:
-    text = WORKFLOW.read_text()
+    text = re.sub(r"#.*", "", WORKFLOW.read_text())
     assert re.search(r"^permissions:\n  contents: read\n(?! )", text, re.MULTILINE)
     assert re.findall(r"^on:\n  (\w+):", text, re.MULTILINE) == ["pull_request"]
     for forbidden in ("pull_request_target", "secrets", "write", "workflow_run", "trust-code"):

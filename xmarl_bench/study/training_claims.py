@@ -23,6 +23,7 @@ from xmarl_bench.study.claims import (
     improves_more,
     keeps,
     unmoved,
+    worsens,
 )
 from xmarl_bench.study.paper import NAVIGATION, TRAINING
 
@@ -72,6 +73,11 @@ TRAINING_CLAIMS: tuple[Claim, ...] = (
     training(
         "graphmask-unmoved", "596", FIDELITY,
         "GraphMask gains no FidDelta by the term", unmoved(GRAPHMASK, "fid_delta"),
+    ),
+    training(
+        "graphmask-trade", "596", FIDELITY,
+        "GraphMask trades Fid+ for Fid-: the term improves the one and worsens the other",
+        improves(GRAPHMASK, "fid_minus"), worsens(GRAPHMASK, "fid_plus"),
     ),
     training(
         "gnn-grows", "596", FIDELITY,

@@ -18,6 +18,7 @@ from xmarl_bench.study.claims import (
     improves_more,
     keeps,
     unmoved,
+    worsens,
 )
 from xmarl_bench.study.paper import NAVIGATION, ZERO_SHOT
 
@@ -43,10 +44,21 @@ def lead_shrinks(metric: str) -> Contrast:
     return Contrast(metric, near, far)
 
 
+def effect_fades(metric: str) -> Contrast:
+    """What the term does to a metric of the policy is more with one agent more than with three."""
+    near, far = (Side(Term(ATTENTION, True, more=more), Term(ATTENTION, False, more=more)) for more in (1, 3))
+    return Contrast(metric, near, far)
+
+
 ZERO_SHOT_CLAIMS: tuple[Claim, ...] = (
     zero_shot(
         "graphmask-unmoved", "645", FIDELITY,
         "GraphMask gains no FidDelta by the term", unmoved(GRAPHMASK, "fid_delta"),
+    ),
+    zero_shot(
+        "graphmask-trade", "645", FIDELITY,
+        "GraphMask trades Fid+ for Fid-: the term improves the one and worsens the other",
+        improves(GRAPHMASK, "fid_minus"), worsens(GRAPHMASK, "fid_plus"),
     ),
     zero_shot(
         "gnn-improves", "645", FIDELITY,
@@ -65,6 +77,16 @@ ZERO_SHOT_CLAIMS: tuple[Claim, ...] = (
         "fid-delta-lead-shrinks", "645", FIDELITY,
         "With the term, AttentionExplainer's lead over GNNExplainer in FidDelta shrinks from one agent more "
         "to three", lead_shrinks("fid_delta"), cells=SIZES,
+    ),
+    zero_shot(
+        "entropy-transfers", "645", FIDELITY,
+        "Policies trained with the term have lower attention entropy in larger teams too",
+        improves(ATTENTION, "attention_entropy"),
+    ),
+    zero_shot(
+        "entropy-fades", "645, 648", FIDELITY,
+        "... by less the larger the team: less with three agents more than with one",
+        effect_fades("attention_entropy"), cells=SIZES,
     ),
     zero_shot(
         "gnn-best-without", "645", FIDELITY,

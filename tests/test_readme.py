@@ -7,10 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from xmarl_bench.evaluation import Performance
-from xmarl_bench.policy.bundle import load_card
-from xmarl_bench.registry import find_policies
-from xmarl_bench.report import markdown, performance_rows
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -26,14 +22,6 @@ def test_the_example_scores(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(BLOCKS[0], "README.md", "exec"), {"__name__": "readme"})
     printed = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in printed] == ["fid_plus", "fid_minus", "fid_delta", "gef"]
-
-
-def test_the_table_of_policies_is_what_was_measured() -> None:
-    """The table equals the cards, and cards are what `xmarl-train` measured: see test_shipped_policies."""
-    table = README.split("<!-- policies:begin -->")[1].split("<!-- policies:end -->")[0].strip()
-    cards = [load_card(folder) for folder in find_policies().values()]
-    rows = performance_rows(cards, [Performance(**card.performance) for card in cards])
-    assert table == markdown(rows).strip()
 
 
 @pytest.mark.parametrize("block", BLOCKS[1:])

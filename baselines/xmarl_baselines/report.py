@@ -1,4 +1,4 @@
-"""baselines/README.md and docs/learning.png, written from the cards of the shipped policies and the controls.
+"""The policies' tables of both READMEs and docs/learning.png, written from the cards of the shipped policies and the controls.
 
     python -m xmarl_baselines.report [--zero-shot]
 
@@ -19,7 +19,7 @@ import typer
 from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.reference import EPISODES
-from xmarl_bench.default_policies import is_final, worth
+from xmarl_bench.default_policies import default_policies, is_final, worth
 from xmarl_bench.evaluation import Performance, evaluate
 from xmarl_bench.files import write_atomically, write_json
 from xmarl_bench.policy import PolicyCard, load_policy
@@ -29,7 +29,7 @@ from xmarl_bench.request import Cell, Sampling
 from xmarl_bench.study.paper import MAIN as PAPER
 
 ROOT = Path(__file__).parent.parent.parent
-README = ROOT / "baselines" / "README.md"
+READMES = (ROOT / "README.md", ROOT / "baselines" / "README.md")
 PICTURE = ROOT / "docs" / "learning.png"
 ZERO_SHOT = Path(__file__).parent / "zero_shot.json"
 
@@ -132,9 +132,11 @@ def zero_shot_rows() -> list[Row]:
 
 
 def tables() -> dict[str, str]:
-    """The tables of baselines/README.md, by the name between its markers."""
+    """The tables of the READMEs, by the name in the markers around them."""
     cards = shipped_cards()
+    best = default_policies(cards)
     return {
+        "defaults": markdown(performance_rows(best, [Performance(**card.performance) for card in best])),
         "cells": markdown(cell_rows(cards)),
         "policies": markdown(policy_rows(cards)),
         "controls": markdown(control_rows()),
@@ -143,9 +145,11 @@ def tables() -> dict[str, str]:
 
 
 def filled(text: str) -> str:
-    """The README with its tables as they are now."""
+    """A README with its tables as they are now."""
     for name, table in tables().items():
         begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+        if begin not in text:
+            continue
         head, rest = text.split(begin)
         text = f"{head}{begin}\n{table}\n{end}{rest.split(end)[1]}"
     return text
@@ -195,10 +199,11 @@ def draw(path: Path) -> None:
 def main(
     zero_shot: Annotated[bool, typer.Option("--zero-shot", help="measure larger teams again")] = False,
 ) -> None:
-    """Write the tables of baselines/README.md and the picture of the learning curves."""
+    """Write the tables of the READMEs and the picture of the learning curves."""
     if zero_shot:
         measure_zero_shot()
-    write_atomically(README, filled(README.read_text(encoding="utf-8")).encode())
+    for readme in READMES:
+        write_atomically(readme, filled(readme.read_text(encoding="utf-8")).encode())
     draw(PICTURE)
 
 

@@ -8,14 +8,16 @@ import pytest
 import torch
 from xmarl_baselines import independent_ppo, ship
 from xmarl_baselines.policies import HERE
-from xmarl_baselines.report import README, cell_rows, draw, filled, final, shipped_cards
+from xmarl_baselines.report import READMES, cell_rows, draw, filled, final, shipped_cards
 
 from xmarl_bench.policy import PolicyCard, load_policy
 from xmarl_bench.study.paper import MAIN
 
 
-def test_the_tables_are_not_stale() -> None:
-    text = README.read_text(encoding="utf-8")
+@pytest.mark.parametrize("readme", READMES, ids=lambda path: path.parent.name)
+def test_the_tables_are_not_stale(readme: Path) -> None:
+    text = readme.read_text(encoding="utf-8")
+    assert ":begin -->" in text
     assert filled(text) == text, "run `python -m xmarl_baselines.report`"
 
 

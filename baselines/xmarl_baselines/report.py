@@ -1,4 +1,4 @@
-"""The policies' tables of both READMEs and docs/learning.png, written from the cards of the shipped policies and the controls.
+"""The policies' tables of both READMEs and docs/learning.png, written from cards and controls.
 
     python -m xmarl_baselines.report [--zero-shot]
 

@@ -106,7 +106,7 @@ def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
     sys.modules[name] = module  # dataclasses look their module up there
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise _failed(reference, error) from error
     register_pickle_by_value(module)
@@ -116,11 +116,11 @@ def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
 def _import_module(name: str, reference: str) -> ModuleType:
     try:
         return importlib.import_module(name)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise _failed(reference, error) from error
 
 
-def _failed(reference: str, error: Exception) -> InputError:
+def _failed(reference: str, error: BaseException) -> InputError:
     return InputError(
         f"{reference} failed to load ({type(error).__name__}: {error}): correct it, or give "
         f"path/to/file.py:Name or module:Name of something else."

@@ -170,7 +170,7 @@ def observations_untouched(subject: ExplainerSubject) -> str:
 def random_state_untouched(subject: ExplainerSubject) -> str:
     subject.mask_or_skip()
     policy, observations = copy.deepcopy(subject.policy), subject.observations.clone()
-    with seeded(SEED):
+    with seeded(SEED), one_thread():
         before, settings = _random_states(), global_settings()
         _call(subject, policy, observations)
         drawn = [name for name, state in _random_states().items() if state != before[name]]

@@ -18,7 +18,6 @@ from torch import Tensor
 
 from xmarl_bench.policy import Policy
 
-
 NORMALISER = "0.5 + a / (2 max |a|) over the row"  # what `signed_to_unit` does, as entries record it
 
 

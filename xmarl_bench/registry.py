@@ -129,13 +129,16 @@ def _found(explainer: Explainer, origin: Origin) -> FoundExplainer:
 
 
 def find_policies() -> dict[str, Path]:
-    """Every registered policy that is a bundle: name -> its folder, by name."""
-    return {name: place for name, place in _policy_plugins().items() if isinstance(place, Path)}
+    """Every registered policy that is a bundle: name -> its folder, by name.
+
+    Raises InputError, as `find_code_policies` does, where a plugin does not load.
+    """
+    return {name: place for name, place in _all_registered().items() if isinstance(place, Path)}
 
 
 def find_code_policies() -> dict[str, PolicyCode]:
     """Every registered policy that brings code of its own, by name; none of it has run yet."""
-    return {name: place for name, place in _policy_plugins().items() if isinstance(place, PolicyCode)}
+    return {name: place for name, place in _all_registered().items() if isinstance(place, PolicyCode)}
 
 
 def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyCard]:
@@ -174,30 +177,53 @@ def _is_bundle(name: str) -> bool:
 
 
 def _registered_policy(name: str) -> Path | PolicyCode:
-    policies = _policy_plugins()
-    if name not in policies:
-        raise unknown("policy", name, policies, "or give the folder of a policy bundle")
-    return policies[name]
+    """A plugin that does not load may have registered any name, but stands in the way of no other."""
+    policies, failures = registered_policies()
+    if name in policies:
+        return policies[name]
+    if failures:
+        raise failures[0]
+    raise unknown("policy", name, policies, "or give the folder of a policy bundle")
 
 
-def _policy_plugins() -> dict[str, Path | PolicyCode]:
+def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError]]:
+    """Every registered policy by name, and why the plugins that did not load did not.
+
+    Raises InputError where two policies have one name.
+    """
     found: dict[str, Path | PolicyCode] = {}
+    failures: list[InputError] = []
     for plugin in entry_points(group=POLICIES):
-        listed = _load(plugin)
         try:
-            places = {
-                str(name): PolicyCode(plugin, place) if callable(place) else Path(place)
-                for name, place in listed().items()
-            }
-        except Exception as error:
-            raise _plugin_error(plugin, error) from error
+            places = _places(plugin)
+        except InputError as error:
+            failures.append(error)
+            continue
         for name, place in places.items():
             if name in found:
                 raise InputError(
                     f"policy {name!r} is registered twice ({found[name]} and {place}): rename one."
                 )
             found[name] = place
-    return dict(sorted(found.items()))
+    return dict(sorted(found.items())), failures
+
+
+def _all_registered() -> dict[str, Path | PolicyCode]:
+    policies, failures = registered_policies()
+    if failures:
+        raise failures[0]
+    return policies
+
+
+def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
+    listed = _load(plugin)
+    try:
+        return {
+            str(name): PolicyCode(plugin, place) if callable(place) else Path(place)
+            for name, place in listed().items()
+        }
+    except Exception as error:
+        raise _plugin_error(plugin, error) from error
 
 
 def _check_trust(name: str, trust_code: bool) -> None:

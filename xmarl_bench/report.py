@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -12,11 +13,12 @@ from xmarl_envs import TASKS
 
 from xmarl_bench.board import ORDER, board_of
 from xmarl_bench.entry import Entry
+from xmarl_bench.errors import InputError
 from xmarl_bench.evaluation import Performance
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.bundle import load_card
-from xmarl_bench.registry import explainer_names, find_code_policies, find_explainer, find_policies
+from xmarl_bench.registry import explainer_names, find_explainer, registered_policies
 
 Row = dict[str, Any]
 # Heading -> metric; "" is the interval of the metric that rows are ordered by.
@@ -47,14 +49,23 @@ def tasks() -> list[Row]:
     ]
 
 
-def policies() -> list[Row]:
-    """`success` is the success rate its card records, None where it records none.
+def policies() -> tuple[list[Row], list[InputError]]:
+    """Those of the plugins that load, and why the others do not.
 
-    `code` is the entry point of a policy that brings its own. It is not run to be listed: the rest is None.
+    `success` is the success rate its card records, None where it records none. `code` is the entry point of
+    a policy that brings its own. It is not run to be listed: the rest is None.
     """
-    rows = []
-    for name, folder in find_policies().items():
-        card = load_card(folder)
+    found, failures = registered_policies()
+    rows: list[Row] = []
+    for name, place in found.items():
+        if not isinstance(place, Path):
+            rows.append({**dict.fromkeys(_POLICY_COLUMNS), "name": name, "code": str(place)})
+            continue
+        try:
+            card = load_card(place)
+        except InputError as error:
+            failures.append(error)
+            continue
         measured = card.performance.get("with_messages", {})
         rows.append(
             {
@@ -67,14 +78,19 @@ def policies() -> list[Row]:
                 "code": None,
             }
         )
-    for name, code in find_code_policies().items():
-        rows.append({**dict.fromkeys(_POLICY_COLUMNS), "name": name, "code": str(code)})
-    return sorted(rows, key=lambda row: str(row["name"]))
+    return rows, failures
 
 
-def explainers() -> list[Row]:
-    rows = []
-    for found in map(find_explainer, explainer_names()):
+def explainers() -> tuple[list[Row], list[InputError]]:
+    """Those that load, and why the others do not."""
+    rows: list[Row] = []
+    failures = []
+    for name in explainer_names():
+        try:
+            found = find_explainer(name)
+        except InputError as error:
+            failures.append(error)
+            continue
         each = found.explainer
         rows.append(
             {
@@ -87,7 +103,7 @@ def explainers() -> list[Row]:
                 "summary": each.summary,
             }
         )
-    return rows
+    return rows, failures
 
 
 def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Performance]) -> list[Row]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import MakeBundle
+from tests.conftest import MakeBundle, RunCli
 from xmarl_bench import registry
 from xmarl_bench.controls import CONTROLS
 from xmarl_bench.errors import InputError
@@ -77,6 +77,27 @@ def test_policies_come_from_plugins_or_folders(
     assert registry.find_policy("mine") == registry.find_policy(str(folder)) == folder
     with pytest.raises(InputError, match=r"'yours'.*mine.*folder"):
         registry.find_policy("yours")
+
+
+def test_a_policy_plugin_that_does_not_load_hides_no_other(
+    monkeypatch: pytest.MonkeyPatch, make_bundle: MakeBundle, run_cli: RunCli
+) -> None:
+    folder = make_bundle(name="mine")
+    monkeypatch.setitem(SHIPPED, "mine", folder)
+    points = [
+        EntryPoint("broken", "tests.bench.no_such_module:x", registry.POLICIES),
+        EntryPoint("x", "tests.bench.test_registry:shipped", registry.POLICIES),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    listed = run_cli("list", "policies")
+    assert listed.code == 2
+    assert "mine" in listed.out
+    assert "'broken'" in listed.err
+    assert "ModuleNotFoundError" in listed.err
+    assert registry.open_policy("mine")[1].name == "mine"
+    for look in (registry.find_policies, lambda: registry.open_policy("yours")):
+        with pytest.raises(InputError, match="'broken'"):
+            look()
 
 
 SHIPPED: dict[str, Path] = {}

@@ -86,8 +86,9 @@ def draw(data: StudyData, metric: str, kind: str, explainers: Sequence[str]) -> 
         for panel in panels.flat[len(cells) :]:
             panel.set_visible(False)
         arrow = "\u2191" if ORIENTATION[metric] > 0 else "\u2193"
+        name = METRIC_NAMES[metric].replace("communication-only budgeted", "comm. budgeted\n")
         for row in panels:
-            row[0].set_ylabel(f"{METRIC_NAMES[metric].replace('communication-only', 'comm.')} {arrow}")
+            row[0].set_ylabel(f"{name} {arrow}")
         canvas.legend(
             handles=[Patch(color=WITHOUT, alpha=0.75), Patch(color=WITH, alpha=0.75)],
             labels=["without the term", "with the term"],

@@ -1,4 +1,4 @@
-"""Pictures of a recorded episode in one file: an animated gif, an mp4 video, or a contact sheet as png."""
+"""Pictures of a recorded episode in one file: an animated gif or avif, an mp4 video, or a sheet as png."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, features
 from rich.console import Console
 from xmarl_envs.canvas import HEADER, SIZE
 from xmarl_envs.render import FPS, Renderer
@@ -27,6 +27,8 @@ Picture = NDArray[np.uint8]
 GIF_FRAMES = 120  # at most; a longer episode shows every second, third, ... step
 GIF_BYTES = 2_000_000  # at most; a busier episode loses frames until it fits
 GIF_COLOURS = 96
+SMALL_FRAMES, SMALL_WIDTH = 24, 320  # of an avif: a fraction of a gif's bytes, for a page of many
+SMALL_PAUSE = 250  # ms, at most from frame to frame
 LAST_FRAME = 1500  # ms, for the end to be seen
 SHEET_PANELS, SHEET_COLUMNS = 6, 3
 PANEL_WIDTH = 480  # pixels
@@ -46,6 +48,8 @@ def check_target(path: Path) -> None:
         raise InputError(f"cannot make {path}: let its name end in one of {', '.join(_FORMATS)}.")
     if path.is_dir():
         raise InputError(f"cannot write to {path}, which is a folder: give the name of a file.")
+    if path.suffix == ".avif" and not features.check("avif"):
+        raise InputError(f"cannot make {path} with this Pillow: install 11.3 or newer, or make a .gif.")
     if path.suffix == ".mp4" and find_spec("imageio_ffmpeg") is None:
         raise InputError(
             f"cannot make {path} without imageio-ffmpeg: pip install 'xmarl-bench[video]', or make a .gif."
@@ -58,9 +62,9 @@ def write_animation(
 ) -> Written:
     """Draw the episode, with the explanation over it if there is an explainer, into one file.
 
-    The ending of `path` says what it becomes: `.gif` or `.mp4`, both at twice real time, or `.png`, six
-    moments side by side. The picture after the last step has no explanation: nobody acted on it.
-    Raises InputError as `check_target` and `Recording.explain` do.
+    The ending of `path` says what it becomes: `.gif` or `.mp4`, both at twice real time, `.avif`, small and
+    few frames, or `.png`, six moments side by side. The picture after the last step has no explanation:
+    nobody acted on it. Raises InputError as `check_target` and `Recording.explain` do.
     """
     check_target(path)
     choose, encode = _FORMATS[path.suffix]
@@ -86,6 +90,11 @@ def _all(last: int) -> list[int]:
 def _regular(last: int) -> list[int]:
     """At most GIF_FRAMES, as many steps apart each, and the last."""
     return sorted({*range(0, last, -(-last // (GIF_FRAMES - 1))), last})
+
+
+def _few(last: int) -> list[int]:
+    """At most SMALL_FRAMES, the first and the last among them."""
+    return sorted({round(k * last / (SMALL_FRAMES - 1)) for k in range(SMALL_FRAMES)})
 
 
 def _moments(last: int) -> list[int]:
@@ -135,6 +144,22 @@ def _encode_gif(frames: Sequence[Image.Image], cycles: Sequence[int]) -> bytes:
     return file.getvalue()
 
 
+def _avif(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
+    frames = [_shrunk(picture, SMALL_WIDTH) for picture in drawn]
+    pauses = [min(SMALL_PAUSE, round(1000 / FPS) * int(steps)) for steps in np.diff(cycles)] + [LAST_FRAME]
+    file = io.BytesIO()
+    frames[0].save(
+        file, "AVIF", save_all=True, append_images=frames[1:], duration=pauses, quality=35, speed=6,
+        max_threads=1,
+    )  # fmt: skip
+    return len(frames), file.getvalue()
+
+
+def _shrunk(picture: Picture, width: int) -> Image.Image:
+    height = round(width * picture.shape[0] / picture.shape[1])
+    return Image.fromarray(picture).resize((width, height), Image.Resampling.LANCZOS)
+
+
 def _mp4(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
     import imageio_ffmpeg
 
@@ -155,14 +180,12 @@ def _mp4(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
 
 
 def _png(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
-    panels = [Image.fromarray(picture) for picture in drawn]
-    width = PANEL_WIDTH
-    height = round(width * panels[0].height / panels[0].width)
+    panels = [_shrunk(picture, PANEL_WIDTH) for picture in drawn]
+    width, height = panels[0].size
     n_columns = min(SHEET_COLUMNS, len(panels))
     sheet = Image.new("RGB", (n_columns * width, -(-len(panels) // n_columns) * height), "white")
     for k, panel in enumerate(panels):
-        small = panel.resize((width, height), Image.Resampling.LANCZOS)
-        sheet.paste(small, (k % n_columns * width, k // n_columns * height))
+        sheet.paste(panel, (k % n_columns * width, k // n_columns * height))
     file = io.BytesIO()
     sheet.save(file, "PNG", optimize=True)
     return len(panels), file.getvalue()
@@ -170,4 +193,4 @@ def _png(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
 
 _FORMATS: dict[
     str, tuple[Callable[[int], list[int]], Callable[[Iterator[Picture], Sequence[int]], tuple[int, bytes]]]
-] = {".gif": (_regular, _gif), ".mp4": (_all, _mp4), ".png": (_moments, _png)}
+] = {".gif": (_regular, _gif), ".avif": (_few, _avif), ".mp4": (_all, _mp4), ".png": (_moments, _png)}

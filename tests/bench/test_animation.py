@@ -18,7 +18,14 @@ from xmarl_envs.render import FPS, Renderer
 
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench import animation
-from xmarl_bench.animation import GIF_BYTES, LAST_FRAME, write_animation
+from xmarl_bench.animation import (
+    GIF_BYTES,
+    LAST_FRAME,
+    SMALL_FRAMES,
+    SMALL_PAUSE,
+    SMALL_WIDTH,
+    write_animation,
+)  # fmt: skip
 from xmarl_bench.controls import CONTROLS
 from xmarl_bench.policy import load_policy
 from xmarl_bench.recording import Recording, record
@@ -112,7 +119,28 @@ def test_a_png_shows_six_moments(tmp_path: Path) -> None:
         np.testing.assert_array_equal(panel, np.asarray(small))
 
 
-@pytest.mark.parametrize("suffix", ["gif", "mp4", "png"])
+def test_an_avif_is_small_and_shows_few_frames(tmp_path: Path) -> None:
+    recording = recorded(90, 5)
+    gif = write_animation(recording, tmp_path / "a.gif")
+    written = write_animation(recording, tmp_path / "a.avif")
+    assert written.n_bytes < gif.n_bytes / 4
+    with Image.open(tmp_path / "a.avif") as image:
+        assert image.size == (SMALL_WIDTH, SMALL_WIDTH * (HEADER + SIZE) // SIZE)
+        shown, pauses = [], []
+        for frame in ImageSequence.Iterator(image):
+            shown.append(np.asarray(frame.convert("RGB")))
+            pauses.append(frame.info["duration"])
+    assert len(shown) == written.frames == SMALL_FRAMES
+    assert max(pauses[:-1]) <= SMALL_PAUSE < pauses[-1] == LAST_FRAME
+    for k, cycle in ((0, 0), (15, round(15 * 90 / 23)), (23, 90)):
+        near, far = (
+            np.asarray(Image.fromarray(expected(recording, c)).resize(image.size, Image.Resampling.LANCZOS))
+            for c in (cycle, (cycle + 30) % 90)
+        )
+        assert wrong(shown[k], near) < 0.3 * wrong(shown[k], far)
+
+
+@pytest.mark.parametrize("suffix", ["gif", "avif", "mp4", "png"])
 def test_an_episode_of_one_step(suffix: str, tmp_path: Path) -> None:
     assert write_animation(recorded(1), tmp_path / f"a.{suffix}").frames == 2
 
@@ -180,7 +208,7 @@ def test_without_a_policy_the_heuristic_plays(run_cli: RunCli, tmp_path: Path) -
         (["--policy", "BUNDLE", "--seed", -1], ["seed"]),
         (["--policy", "BUNDLE", "--episode", -1], ["episode"]),
         (["--policy", "BUNDLE", "--max-cycles", 0], ["max_cycles"]),
-        (["--policy", "BUNDLE", "--out", "a.avi"], ["a.avi", ".gif, .mp4, .png"]),
+        (["--policy", "BUNDLE", "--out", "a.avi"], ["a.avi", ".gif, .avif, .mp4, .png"]),
         (["--policy", "BUNDLE", "--out", "."], ["let its name end"]),
     ],
 )

@@ -206,11 +206,11 @@ def test_a_build_that_is_killed_leaves_a_whole_board(board: Path, monkeypatch: p
     next((board / "entries").glob("p1.*")).unlink()
     write_entry(board / "entries", made_entry("p0", "c", 0.7))
     write_entry(board / "entries", made_entry("new", "a", 0.7))
-    files = derived(board)
-    monkeypatch.setattr(build, "derived", lambda folder: files)  # the same each time: it changes no file
+    made = derived(board)
+    monkeypatch.setattr(build, "derived", lambda folder: made)  # the same each time: it changes no file
     total = build_in_child(board, None)
     new = contents(board)
-    assert new == files
+    assert new == made.files
     assert total > 10
     pages_of_new = set()
     for kill_at in range(total):

@@ -32,7 +32,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "animations").mkdir()
     frames = [Image.new("RGB", (80, 60), colour) for colour in ("red", "blue")]
     frames[0].save(
-        folder / "animations" / f"{entries[0].entry_id[:16]}.webp", save_all=True, append_images=frames[1:]
+        folder / "animations" / f"{entries[0].entry_id[:16]}.avif", save_all=True, append_images=frames[1:]
     )
     build_board(folder)
     return folder

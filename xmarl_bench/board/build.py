@@ -17,7 +17,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from xmarl_bench.board.columns import COLUMNS
 from xmarl_bench.board.details import Details, details_of
@@ -38,9 +38,9 @@ def build_board(folder: Path) -> Path:
     """
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
-        files = derived(folder)
-        _publish(folder, {path: data for path, data in files.items() if _bytes(folder / path) != data})
-        for path in _obsolete(folder, files):
+        made = derived(folder)
+        _publish(folder, {path: data for path, data in made.files.items() if _bytes(folder / path) != data})
+        for path in _obsolete(folder, made):
             path.unlink()
     return folder / "leaderboard.json"
 
@@ -52,35 +52,47 @@ def check_board(folder: Path) -> list[str]:
     """
     if not folder.is_dir():
         raise InputError(f"there is no folder {folder}: give that of a leaderboard.")
-    files = derived(folder)
+    made = derived(folder)
     found = []
-    for path, data in sorted(files.items()):
+    for path, data in sorted(made.files.items()):
         present = _bytes(folder / path)
         if present != data:
             found.append(f"{folder / path} is {'missing' if present is None else 'stale'}.")
-    return found + [f"{path} belongs to no entry." for path in _obsolete(folder, files)]
+    return found + [f"{path} belongs to no entry." for path in _obsolete(folder, made)]
 
 
-def derived(folder: Path) -> dict[str, bytes]:
-    """Every derived file by its path in the folder, in the order of putting in place."""
+class Derived(NamedTuple):
+    files: dict[str, bytes]  # by path in the folder, in the order of putting in place
+    animations: set[str]  # names that an animation of one of the entries would have
+
+
+def derived(folder: Path) -> Derived:
+    """Everything derived from the folder's entries. Raises InputError where one is not valid."""
     details: dict[str, Details] = {}
+    known: set[str] = set()
 
     def read() -> Iterator[tuple[str, Entry]]:
         """One entry after the other, for many are large; the page keeps of each what it shows."""
         for path in sorted((folder / "entries").glob("*.json")):
             entry, file = read_entry(path), f"entries/{path.name}"
             details[file] = details_of(entry)
+            known.add(animation_name(entry))
             yield file, entry
 
     board = board_of(read())
-    animations = {path.name for path in (folder / ANIMATIONS).glob("*.webp")}
-    pages = page_files(board, details, animations)
-    return {
+    present = {path.name for path in (folder / ANIMATIONS).glob("*.avif")}
+    pages = page_files(board, details, present)
+    files = {
         **{path: data for path, data in pages.items() if "/" in path},
         "leaderboard.csv": board_csv(board),
         "leaderboard.json": board_json(board),
         **{path: data for path, data in pages.items() if "/" not in path},
     }
+    return Derived(files, known)
+
+
+def animation_name(entry: Entry) -> str:
+    return f"{entry.entry_id[:16]}.avif"
 
 
 def board_json(board: Mapping[str, Any]) -> bytes:
@@ -144,12 +156,19 @@ def _publish(folder: Path, files: Mapping[str, bytes]) -> None:
         temporary.replace(target)
 
 
-def _obsolete(folder: Path, files: Mapping[str, bytes]) -> Iterator[Path]:
-    """Pages that nothing refers to, and what a killed build has left."""
-    pages = folder / PAGES
-    for path in sorted([*folder.glob(f".*{STAGED}"), *(pages.iterdir() if pages.is_dir() else ())]):
-        if path.relative_to(folder).as_posix() not in files:
-            yield path
+def _obsolete(folder: Path, made: Derived) -> list[Path]:
+    """What a killed build has left, pages that nothing refers to, animations of entries that are gone."""
+    return sorted(
+        [
+            *folder.glob(f".*{STAGED}"),
+            *(path for path in _listed(folder / PAGES) if f"{PAGES}/{path.name}" not in made.files),
+            *(path for path in _listed(folder / ANIMATIONS) if path.name not in made.animations),
+        ]
+    )
+
+
+def _listed(folder: Path) -> list[Path]:
+    return list(folder.iterdir()) if folder.is_dir() else []
 
 
 def _bytes(path: Path) -> bytes | None:

@@ -12,7 +12,8 @@ from xmarl_bench.entry import Entry
 def command_of(entry: Entry, out: str = "again") -> str:
     """`xmarl-bench score ...`, for a shell: with the same versions its entry has the same `entry_id`."""
     explainer, protocol = entry.explainer, entry.protocol
-    words = ["xmarl-bench", "score", "--policy", entry.policy.name, "--explainer", explainer.name]
+    named = explainer.entry_point if explainer.distribution is None else explainer.name  # not installed
+    words = ["xmarl-bench", "score", "--policy", entry.policy.name, "--explainer", named]
     for cell in entry.results:
         words += ["--task", cell.task, "--agents", str(cell.n_agents)]
     words += ["--episodes", str(protocol.episodes), "--seed", str(explainer.seed)]
@@ -27,6 +28,8 @@ def command_of(entry: Entry, out: str = "again") -> str:
         words += ["--no-behaviour", explainer.name]
     else:
         words += ["--behaviour-episodes", str(max(played))]
+    if entry.policy.trusted_code:
+        words.append("--trust-code")
     if entry.submitter is not None:
         words += ["--submitter", entry.submitter]
     return shlex.join([*words, "--out", out])

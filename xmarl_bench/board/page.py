@@ -92,7 +92,7 @@ def _compact(
                 rows.append(
                     [len(policies) - 1, row["explainer"], int(row["control"]), row["rank"],
                      row["rank_interval"], row["tie_group"], row["submitter"], row["verification"], identity,
-                     int(f"{identity}.webp" in animations), reasons.index(why), row["file"],
+                     int(f"{identity}.avif" in animations), reasons.index(why), row["file"],
                      [numbers(row["metrics"][name]) for name in COLUMNS]]
                 )  # fmt: skip
     return {

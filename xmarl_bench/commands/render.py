@@ -22,7 +22,7 @@ def render(
     max_cycles: MaxCycles = None,
     trust_code: TrustCode = False,
     out: Annotated[
-        Path, typer.Option(help="File to write: .gif, .mp4, or .png, a sheet of six moments.")
+        Path, typer.Option(help="File to write: .gif, .avif (small), .mp4, or .png, a sheet of six moments.")
     ] = Path("episode.gif"),
 ) -> None:
     """Draw an episode, and over it who influences whom according to an explainer."""

@@ -62,7 +62,7 @@ function showCommand(details) {
 function showAnimation(row) {
   $("animation").hidden = !row.animated;
   if (!row.animated) return;
-  const picture = $("episode"), source = `animations/${row.id}.webp`;
+  const picture = $("episode"), source = `animations/${row.id}.avif`;
   const play = (playing) => {
     $("play").textContent = playing ? "Stop" : "Play";
     if (playing) picture.src = source;

@@ -12,7 +12,7 @@ from tests.conftest import MakeBundle
 from tests.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import load_policy, save_policy
-from xmarl_bench.policy.bundle import CARD
+from xmarl_bench.policy.untrusted import CARD
 
 
 def test_round_trip_to_the_bit(tmp_path: Path) -> None:

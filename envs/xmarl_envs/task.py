@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from math import sqrt
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -110,12 +111,14 @@ def scatter(rng: np.random.Generator, n_points: int, half_width: float, spacing:
 
     Raises RuntimeError where the square is too crowded for that.
     """
-    points = np.empty((n_points, 2))
-    for k in range(n_points):
+    points: list[tuple[float, float]] = []
+    for _ in range(n_points):
         for _ in range(10_000):
-            points[k] = rng.uniform(-half_width, half_width, 2)
-            if k == 0 or distance(points[:k], points[k]).min() >= spacing:
+            x, y = rng.uniform(-half_width, half_width, 2).tolist()
+            # Numbers, not arrays: the bits are the same, and teams are mostly small.
+            if all(sqrt((x - a) * (x - a) + (y - b) * (y - b)) >= spacing for a, b in points):
+                points.append((x, y))
                 break
         else:
             raise RuntimeError(f"no room for {n_points} points {spacing} m apart within +-{half_width} m")
-    return points
+    return np.array(points).reshape(n_points, 2)

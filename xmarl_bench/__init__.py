@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         LayeredArchitecture,
         PolicyCard,
         RadiusGraph,
+        build_policy,
         load_policy,
         save_policy,
     )
@@ -50,6 +51,7 @@ _HOME = {
     "RadiusGraph": "policy",
     "as_explainer": "doors",
     "build_board": "board",
+    "build_policy": "policy",
     "evaluate": "evaluation",
     "load_policy": "policy",
     "read_entry": "entry",
@@ -62,8 +64,8 @@ _HOME = {
 __all__ = [
     "Architecture", "CompleteGraph", "Entry", "Episode", "Explainer", "FixedGraph", "GraphLayer",
     "GraphPolicy", "InputError", "LayeredArchitecture", "Performance", "PolicyCard", "PolicyModule",
-    "PygExplain", "RadiusGraph", "as_explainer", "build_board", "evaluate", "load_policy", "read_entry",
-    "roll_out", "save_policy", "score", "write_entry",
+    "PygExplain", "RadiusGraph", "as_explainer", "build_board", "build_policy", "evaluate", "load_policy",
+    "read_entry", "roll_out", "save_policy", "score", "write_entry",
 ]  # fmt: skip
 
 

@@ -1,0 +1,31 @@
+"""Runs the notebooks of docs/notebooks and keeps what they print: `python docs/run_notebooks.py`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+
+NOTEBOOKS = Path(__file__).parent / "notebooks"
+
+
+def run(path: Path) -> nbformat.NotebookNode:
+    """The notebook with its outputs, run in its own folder. Raises CellExecutionError where a cell fails."""
+    notebook = nbformat.read(path, as_version=4)
+    client = NotebookClient(
+        notebook, timeout=600, kernel_name="python3", record_timing=False,
+        resources={"metadata": {"path": str(path.parent)}},
+    )  # fmt: skip
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    client.execute()
+    for cell in (cell for cell in notebook.cells if cell.cell_type == "code"):
+        # Warnings of libraries are this machine's.
+        cell.outputs = [out for out in cell.outputs if out.get("name") != "stderr"]
+    return notebook
+
+
+if __name__ == "__main__":
+    for each in sorted(NOTEBOOKS.glob("*.ipynb")):
+        nbformat.write(run(each), each)

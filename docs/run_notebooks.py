@@ -13,7 +13,7 @@ NOTEBOOKS = Path(__file__).parent / "notebooks"
 
 def run(path: Path) -> nbformat.NotebookNode:
     """The notebook with its outputs, run in its own folder. Raises CellExecutionError where a cell fails."""
-    notebook = nbformat.read(path, as_version=4)
+    notebook: nbformat.NotebookNode = nbformat.read(path, as_version=4)
     client = NotebookClient(
         notebook, timeout=600, kernel_name="python3", record_timing=False,
         resources={"metadata": {"path": str(path.parent)}},

@@ -33,4 +33,8 @@ bin=$folder/venv/bin
 policy=$("$bin/xmarl-bench" list policies --json | "$bin/python" -c 'import json, sys; print(json.load(sys.stdin)[0]["name"])')
 "$bin/xmarl-bench" score --policy "$policy" --explainer attention --episodes 1 --timesteps 5 --out scores
 test -s scores/leaderboard.json
+"$bin/xmarl-bench" new explainer my-explainer
+"$bin/python" -m pip install --quiet --no-deps ./my-explainer
+"$bin/xmarl-bench" check explainer my-explainer
+"$bin/xmarl-bench" score --policy "$policy" --explainer my-explainer --episodes 1 --timesteps 5 --out scores
 echo "wheel-test: $(basename "$folder"/dist/*.whl) imports and scores outside of the repository"

@@ -1,0 +1,45 @@
+"""Code and commands of docs/explainers.md run as they stand there; its links lead to files."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+from tests.conftest import RunCli
+from xmarl_bench.doors import DECLARATIONS
+from xmarl_bench.explainer import Explainer
+
+DOCS = Path(__file__).parent.parent / "docs"
+PAGE = (DOCS / "explainers.md").read_text(encoding="utf-8")
+BLOCKS: list[str] = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_the_code_runs_from_top_to_bottom() -> None:
+    assert len(BLOCKS) == 3
+    names: dict[str, object] = {"__name__": "page"}
+    for block in BLOCKS:
+        exec(compile(block, "explainers.md", "exec"), names)
+
+
+def test_the_commands_run(run_cli: RunCli, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(BLOCKS[0].partition("entry =")[0])
+    commands = re.findall(r"^xmarl-bench (score .*)$", PAGE, flags=re.MULTILINE)
+    assert len(commands) == 2
+    for command in commands:
+        arguments = command.replace("own.py", str(tmp_path / "own.py")).split()
+        ran = run_cli(*arguments, "--episodes", 1, "--timesteps", 2, "--max-cycles", 3, "--out", tmp_path)
+        assert ran.code == 0, ran.err
+
+
+def test_every_declaration_is_in_the_table() -> None:
+    rows = "\n".join(line for line in PAGE.splitlines() if line.startswith("|"))
+    assert [name for name in DECLARATIONS if f"`{name}`" not in rows] == []
+    ours = {"explain", "control", "fit", "fitted_on"}  # of the harness
+    assert {each.name for each in fields(Explainer)} - ours <= set(DECLARATIONS)
+
+
+def test_links_lead_to_files() -> None:
+    links = re.findall(r"\]\((?!https?:)([^)#]+)", PAGE)
+    assert links
+    assert [link for link in links if not (DOCS / link).exists()] == []

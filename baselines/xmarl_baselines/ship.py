@@ -30,10 +30,11 @@ def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --o
         if not (bundle / "policy.json").exists():
             continue
         policy, card = load_policy(bundle)
+        assert isinstance(policy, GraphPolicy)  # what xmarl-train trains
         fields = card.model_dump(exclude={"architecture", "weights_sha256"})
         save_policy(HERE / name, policy, **fields)
         print(f"{name}: success {card.performance['with_messages']['success_rate']:.3f}")
-        if (run.recipe.task, run.n_agents, run.seed) == ("blind_navigation_v0", 3, 0):
+        if (run.recipe.task, run.n_agents, run.seed, run.recipe.variant) == ("blind_navigation_v0", 3, 0, ""):
             _ship_along_training(runs / name, policy, fields)
 
 

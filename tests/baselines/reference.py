@@ -21,6 +21,7 @@ TRAINED = ["navigation-n3-lambda0-seed0", "passage-n3-lambda0-seed0", "discovery
 def trained(name: str, n_steps: int, n_agents: int = 3) -> tuple[GraphPolicy, Tensor]:
     """A shipped policy and `n_steps` states (n_steps, N, D), spread over an episode of at most 120 steps."""
     policy, card = load_policy(shipped_policies()[name])
+    assert isinstance(policy, GraphPolicy)
     (episode,) = roll_out(make_task(card.task, n_agents), policy, [1], max_cycles=120)
     chosen = np.linspace(0, len(episode.observations) - 1, n_steps).astype(int)
     return policy, torch.tensor(episode.observations[chosen])

@@ -23,6 +23,7 @@ def test_every_shipped_policy_scores(tmp_path: Path) -> None:
         entry = score(name, "attention", episodes=2, timesteps=5, behaviour_episodes=0)
         (cell,) = entry.results
         assert (cell.task, cell.n_agents) == (card.task, card.n_agents)
+        assert cell.metrics.gef is not None
         assert cell.metrics.fid_plus.n_nan == cell.metrics.gef.n_nan == 0
         dependence = cell.metrics.communication_dependence.value
         assert dependence is not None, name

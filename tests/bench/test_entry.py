@@ -105,6 +105,7 @@ def test_aggregates_follow_from_the_rows(entry: Entry) -> None:
     assert metrics_of_cell(cell, entry.explainer.seed) == cell.metrics
     rows = [row.model_copy(update={"gef": None}) if k == 0 else row for k, row in enumerate(cell.episodes)]
     holed = cell_metrics(rows, 0, {}, 3).gef
+    assert holed is not None
     assert (holed.n, holed.n_nan) == (2, 1)
     assert holed.value == pytest.approx(
         np.mean([row.gef for row in cell.episodes[1:] if row.gef is not None])

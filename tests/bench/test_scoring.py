@@ -84,6 +84,7 @@ def test_what_an_entry_says(make_bundle: MakeBundle) -> None:
     assert [row.seed for row in cell.episodes] == list(entry.protocol.seeds) == episode_seeds(0, 3)
     assert [row.timesteps for row in cell.episodes] == [4, 4, 4]
     assert cell.metrics.no_object_collision is not None
+    assert cell.metrics.gef is not None
     assert cell.metrics.fid_minus.value == cell.metrics.gef.value == 0.0
     assert cell.metrics.fid_minus.interval == (0.0, 0.0)
     assert cell.metrics.mask_mass.value == 1.0

@@ -15,8 +15,9 @@ from typing import Literal, cast
 import numpy as np
 import torch
 from torch import Tensor
-from xmarl_envs import BlindNavigation, State, Task, VectorEnv
+from xmarl_envs import BlindNavigation, BlindPassage, State, Task, VectorEnv
 from xmarl_envs.heuristics import heuristic
+from xmarl_envs.heuristics.ladder import ladder
 from xmarl_envs.heuristics.wide_berth import wide_berth
 from xmarl_envs.task import Floats
 
@@ -34,7 +35,8 @@ class Imitation:
     """How long and how. A round is ROUND steps of `n_envs` teams, then `updates` gradient steps."""
 
     rounds: int
-    teacher: Literal["heuristic", "wide_berth"] = "heuristic"  # the task's own, or navigation's smooth one
+    # The task's own, or the smooth one that was made to be imitated: navigation's, passage's.
+    teacher: Literal["heuristic", "wide_berth", "ladder"] = "heuristic"
     n_envs: int = 200
     updates: int = 20
     batch_size: int = 1000  # team-steps
@@ -48,8 +50,8 @@ class Imitation:
     scale: float = 0.3  # of the actor's action distribution at the end: how much it explores afterwards
 
     def __post_init__(self) -> None:
-        if self.teacher not in ("heuristic", "wide_berth"):
-            raise InputError(f"teacher must be heuristic or wide_berth, got {self.teacher!r}.")
+        if self.teacher not in ("heuristic", "wide_berth", "ladder"):
+            raise InputError(f"teacher must be heuristic, wide_berth or ladder, got {self.teacher!r}.")
 
     @property
     def frames(self) -> int:
@@ -64,6 +66,8 @@ class Imitation:
         """(B, N, 2) actions in [-1, 1] to be imitated."""
         if self.teacher == "wide_berth":
             return wide_berth(cast(BlindNavigation, task), state)
+        if self.teacher == "ladder":
+            return ladder(cast(BlindPassage, task), state)
         return heuristic(task, state)
 
 

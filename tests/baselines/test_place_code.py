@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from xmarl_baselines.place_code import LINEAR, REACH, SPACING, code_places
+from xmarl_baselines.place_code import LINEAR, code_places
+from xmarl_baselines.place_units import HEADINGS, REACH, SPACING, passage_units
 from xmarl_baselines.recipes import PAPER_NAVIGATION, RECIPES
 
 from xmarl_bench.errors import InputError

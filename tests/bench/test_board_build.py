@@ -140,6 +140,11 @@ def test_serve_answers_on_this_machine(board: Path, run_cli: RunCli, monkeypatch
     assert served["address"] == "127.0.0.1"
 
 
+def test_the_committed_board_is_what_its_entries_say() -> None:
+    leaderboard = Path(__file__).parents[2] / "leaderboard"
+    assert check_board(leaderboard) == []  # else run: xmarl-bench board build
+
+
 # A build that is killed. The child is killed before its k-th change of the disk, for every k.
 
 

@@ -57,6 +57,7 @@ def browse(chromium: Browser) -> Iterator[Browse]:
         return page
 
     yield open_page
+    found = [*wrong]  # closing ends what is still being loaded
     for context in contexts:
         context.close()
-    assert wrong == []
+    assert not found, "; ".join(found)

@@ -37,7 +37,7 @@ function budgetChart(place, named, kind) {
     y: { label: "FidDelta@k, action units", grid: true, nice: true },
     marks: [
       Plot.areaY(points.filter((point) => point.high !== undefined), { x: "k", y1: "low", y2: "high", z: "name", fill: "name", fillOpacity: 0.15 }),
-      Plot.lineY(points.filter((point) => !bound(point)), { x: "k", y: "value", stroke: "name", strokeWidth: 2 }),
+      Plot.lineY(points.filter((point) => !bound(point)), { x: "k", y: "value", z: "name", stroke: "name", strokeWidth: 2 }),
       Plot.lineY(points.filter(bound), { x: "k", y: "value", stroke: "name", z: "name", strokeDasharray: "5 4" }),
       Plot.dot(points, { x: "k", y: "value", fill: "name", r: 3.5, tip: true, title: (point) => `${point.name}, k = ${point.k}: ${number(point.value)}` }),
       Plot.text(points.filter((point) => bound(point) && point.k === d3.max(points, (other) => other.k)), { x: "k", y: "value", text: "name", dx: 8, textAnchor: "start", fill: "var(--dim)" }),

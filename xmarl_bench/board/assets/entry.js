@@ -7,6 +7,7 @@ const $ = (id) => document.getElementById(id);
 function pairs(value, name = "") {
   if (value === null || value === undefined) return [[name, "\u2013"]];
   if (typeof value !== "object") return [[name, String(value)]];
+  if (Array.isArray(value) && value.every((each) => typeof each !== "object")) return [[name, value.join(", ") || "none"]];
   const inner = Object.entries(value);
   return inner.length ? inner.flatMap(([key, each]) => pairs(each, name ? `${name}.${key}` : key)) : [[name, "none"]];
 }

@@ -194,11 +194,13 @@ function writeAddress() {
   history.replaceState(null, "", `#${wanted}`);
 }
 
+const gated = (key) => Number(BOARD.policies.find((policy) => policy.key === key).gate !== null);
+
 function scopeChanged() {
   const policies = BOARD.policies.filter((policy) => inScope({ table: BOARD.tables[policy.table] }));
   const pairs = policies.map((policy) => [policy.key, policyLabel(policy)]);
   fill($("policy"), [["", "all"], ...pairs]);
-  fill($("budget-policy"), pairs);
+  fill($("budget-policy"), [...pairs].sort(([one], [other]) => gated(one) - gated(other)));
   showRanking();
   showDefinitions();
   rowsChanged();

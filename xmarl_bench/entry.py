@@ -31,7 +31,7 @@ from xmarl_bench.field_types import (
     Text,
 )  # fmt: skip
 from xmarl_bench.files import canonical_json, write_json
-from xmarl_bench.policy import AnyArchitecture
+from xmarl_bench.policy.architecture import AnyArchitecture
 from xmarl_bench.protocol import PROTOCOL
 from xmarl_bench.strict_json import parse_json, shown
 

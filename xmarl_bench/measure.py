@@ -21,9 +21,10 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer, run_explainer
 from xmarl_bench.oracle import ascend
 from xmarl_bench.policy import Policy
+from xmarl_bench.protocol import SANITY_TIMESTEPS
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout import Episode
-from xmarl_bench.sanity import SANITY_TIMESTEPS, seed_stability, weight_randomisation
+from xmarl_bench.sanity import seed_stability, weight_randomisation
 from xmarl_bench.states import Budgets, States, Values, number
 
 

@@ -16,9 +16,8 @@ from xmarl_envs import TASKS
 
 from xmarl_bench.code_origin import Origin
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.architecture import CodeArchitecture
+from xmarl_bench.policy.architecture import CodeArchitecture, DistributionKind
 from xmarl_bench.policy.bundle import PolicyCard
-from xmarl_bench.policy.distribution import DistributionKind
 from xmarl_bench.policy.graph import CompleteGraph, Graph
 from xmarl_bench.policy.module import ModulePolicy
 

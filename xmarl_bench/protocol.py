@@ -8,6 +8,9 @@ from __future__ import annotations
 from typing import Final
 
 PROTOCOL: Final = "xmarl-2"
+# What is checked of an explainer's sanity: the first episodes of a run, timesteps evenly spaced in each.
+SANITY_EPISODES: Final = 5
+SANITY_TIMESTEPS: Final = 20
 
 DEFINITIONS: dict[str, str] = {
     "F(m)": "action tanh(loc) in [-1, 1] with the message on edge j -> i scaled by m[i, j] after the "

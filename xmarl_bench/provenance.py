@@ -11,8 +11,6 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import torch
-
 from xmarl_bench.entry import Provenance
 
 PACKAGES = ("joblib", "numpy", "pettingzoo", "pydantic", "pymunk", "safetensors", "torch", "torch-geometric")
@@ -23,6 +21,8 @@ def now() -> str:
 
 
 def provenance(started: str, jobs: int) -> Provenance:
+    import torch
+
     commit, dirty = _commit()
     return Provenance(
         harness_version=package_version("xmarl-bench") or "unknown",

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-import torch
 
 from xmarl_bench.errors import InputError
 
@@ -41,6 +40,8 @@ def derived_seed(*parts: int | str) -> int:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """torch on one thread: matrix products round differently when they are split among several."""
+    import torch  # here and below: seeds are had without it
+
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -52,6 +53,8 @@ def one_thread() -> Iterator[None]:
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """The global random states of torch, numpy and Python: seeded inside, afterwards as they were before."""
+    import torch
+
     numpy_state, python_state = np.random.get_state(), random.getstate()  # noqa: NPY002
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

@@ -19,7 +19,6 @@ from xmarl_bench.metrics import rank_correlation
 from xmarl_bench.policy import Policy, existing_edges
 from xmarl_bench.reproducible import derived_seed
 
-SANITY_EPISODES, SANITY_TIMESTEPS = 5, 20  # the first of a run, evenly spaced in each
 SEEDS = 3
 
 

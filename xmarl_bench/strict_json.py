@@ -42,9 +42,9 @@ def parse_json(data: bytes, *, max_bytes: int = MAX_BYTES) -> Any:
         raise ValueError("is nested too deep") from None
 
 
-def shown(text: object, length: int = 80) -> str:
-    """A stranger's text for a terminal or a log: quoted, printable ASCII, one line, shortened."""
-    line = ascii(text if isinstance(text, str) else str(text))
+def shown(value: object, length: int = 80) -> str:
+    """What a stranger wrote, for a terminal or a log: as a literal, printable ASCII, one line, shortened."""
+    line = ascii(str(value) if isinstance(value, BaseException) else value)
     return line if len(line) <= length else line[: length - 4] + "..." + line[-1]
 
 

@@ -14,8 +14,8 @@ from xmarl_bench.entry import (
     Metrics,
     Summary,
 )
+from xmarl_bench.protocol import SANITY_EPISODES
 from xmarl_bench.reproducible import derived_seed
-from xmarl_bench.sanity import SANITY_EPISODES
 
 RESAMPLES = 5000
 CONFIDENCE = 0.95

@@ -15,9 +15,9 @@ from xmarl_bench.explainer import Explainer
 from xmarl_bench.fitting import fitted
 from xmarl_bench.measure import Measured, Unit
 from xmarl_bench.policy import Policy
+from xmarl_bench.protocol import SANITY_EPISODES
 from xmarl_bench.request import Cell, Request
 from xmarl_bench.rollout import Episode, Rollout, play_all
-from xmarl_bench.sanity import SANITY_EPISODES
 
 
 @dataclass(frozen=True)

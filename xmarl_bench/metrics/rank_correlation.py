@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 
 def rank_correlation(
@@ -31,6 +30,8 @@ def rank_correlation(
 
 def _centred_ranks(x: NDArray[np.floating], edges: NDArray[np.bool_] | None) -> NDArray[np.float64]:
     """(..., N): rank less the mean rank of the row, 0 for senders that are not there."""
+    from scipy.stats import rankdata  # a second to import, and most that import metrics rank nothing
+
     if edges is None:
         return np.asarray(rankdata(x, axis=-1) - (x.shape[-1] + 1) / 2)
     ranks = rankdata(np.where(edges, x, np.inf), axis=-1)  # absent ones come last

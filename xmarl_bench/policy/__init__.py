@@ -1,19 +1,51 @@
-"""Graph-attention policies: their architecture record, the network with its masked forward, their files."""
+"""Graph-attention policies: their architecture record, the network with its masked forward, their files.
 
-from xmarl_bench.policy.architecture import (
-    AnyArchitecture,
-    Architecture,
-    CodeArchitecture,
-    GraphLayer,
-    LayeredArchitecture,
-)
-from xmarl_bench.policy.build import build_policy
-from xmarl_bench.policy.bundle import PolicyCard, load_policy, save_policy
-from xmarl_bench.policy.distribution import ActionDistribution
-from xmarl_bench.policy.graph import CompleteGraph, FixedGraph, Graph, RadiusGraph, complete_graph
-from xmarl_bench.policy.interface import Policy, existing_edges
-from xmarl_bench.policy.module import ModulePolicy
-from xmarl_bench.policy.network import GraphPolicy, Prepared
+Names are loaded on first use: records of policies are read without waiting for torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from xmarl_bench.policy.architecture import (
+        AnyArchitecture,
+        Architecture,
+        CodeArchitecture,
+        GraphLayer,
+        LayeredArchitecture,
+    )
+    from xmarl_bench.policy.build import build_policy
+    from xmarl_bench.policy.bundle import PolicyCard, load_policy, save_policy
+    from xmarl_bench.policy.distribution import ActionDistribution
+    from xmarl_bench.policy.graph import CompleteGraph, FixedGraph, Graph, RadiusGraph, complete_graph
+    from xmarl_bench.policy.interface import Policy, existing_edges
+    from xmarl_bench.policy.module import ModulePolicy
+    from xmarl_bench.policy.network import GraphPolicy, Prepared
+
+_HOME = {
+    "ActionDistribution": "distribution",
+    "AnyArchitecture": "architecture",
+    "Architecture": "architecture",
+    "CodeArchitecture": "architecture",
+    "CompleteGraph": "graph",
+    "FixedGraph": "graph",
+    "Graph": "graph",
+    "GraphLayer": "architecture",
+    "GraphPolicy": "network",
+    "LayeredArchitecture": "architecture",
+    "ModulePolicy": "module",
+    "Policy": "interface",
+    "PolicyCard": "bundle",
+    "Prepared": "network",
+    "RadiusGraph": "graph",
+    "build_policy": "build",
+    "complete_graph": "graph",
+    "existing_edges": "interface",
+    "load_policy": "bundle",
+    "save_policy": "bundle",
+}
 
 __all__ = [
     "ActionDistribution", "AnyArchitecture", "Architecture", "CodeArchitecture", "CompleteGraph",
@@ -22,3 +54,11 @@ __all__ = [
     "existing_edges", "load_policy",
     "save_policy",
 ]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'xmarl_bench.policy' has no attribute {name!r}")
+    value = getattr(import_module(f"xmarl_bench.policy.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value

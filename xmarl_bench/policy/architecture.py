@@ -10,13 +10,17 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from xmarl_bench.policy.distribution import DistributionKind, ScaleKind
 from xmarl_bench.policy.graph import CompleteGraph, Graph
 
 Width = Annotated[int, Field(ge=1, le=2048)]
 Widths = Annotated[tuple[Width, ...], Field(max_length=8)]
 Activation = Literal["tanh", "relu", "elu", "leaky_relu", "silu", "identity"]
 Convolution = Literal["GATConv", "GATv2Conv", "TransformerConv"]
+DistributionKind = Literal["tanh_normal", "normal", "deterministic"]
+# How a decoder's numbers become scales; either way 0 becomes 1.
+# softplus: softplus(raw + log(e - 1)), 1e-4 at the least. torchrl: TorchRL's and BenchMARL's default
+# "biased_softplus_1.0", softplus(raw + log(e^0.99 - 1)) + 0.01.
+ScaleKind = Literal["softplus", "torchrl"]
 MAX_LAYER_WIDTH = 4096  # of all heads together
 
 

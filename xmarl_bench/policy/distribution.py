@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-DistributionKind = Literal["tanh_normal", "normal", "deterministic"]
-# How a decoder's numbers become scales; either way 0 becomes 1.
-# softplus: softplus(raw + log(e - 1)), 1e-4 at the least. torchrl: TorchRL's and BenchMARL's default
-# "biased_softplus_1.0", softplus(raw + log(e^0.99 - 1)) + 0.01.
-ScaleKind = Literal["softplus", "torchrl"]
+from xmarl_bench.policy.architecture import DistributionKind, ScaleKind
+
 SCALE_BIAS = math.log(math.e - 1.0)
 MIN_SCALE = 1e-4
 TORCHRL_FLOOR = 0.01

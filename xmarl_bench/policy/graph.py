@@ -3,18 +3,21 @@
 Every agent hears itself, so the loops i -> i are edges of every graph. A mask speaks of a policy's own edges
 only: where there is no edge nothing can be kept or dropped, and what a mask holds there counts for nothing.
 
+The records are read without torch, which is imported where edges are made of them.
+
 S is the number of timesteps (or any batch), N agents, D observation entries.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import torch
 from pydantic import BaseModel, ConfigDict, Field
-from torch import Tensor
 
 from xmarl_bench.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 MAX_AGENTS = 1024
 Agent = Annotated[int, Field(ge=0, lt=MAX_AGENTS)]
@@ -34,6 +37,8 @@ class CompleteGraph(_Graph):
 
     def adjacency(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N) of True."""
+        import torch
+
         n_steps, n_agents, _ = observation.shape
         return torch.ones(n_steps, n_agents, n_agents, dtype=torch.bool)
 
@@ -56,6 +61,8 @@ class RadiusGraph(_Graph):
 
     def adjacency(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N): j -> i is an edge where j is at most `radius` away from i."""
+        import torch
+
         position = observation[..., list(self.position)].detach()
         distance = (position[:, :, None] - position[:, None, :]).square().sum(dim=-1).sqrt()
         return (distance <= self.radius) | torch.eye(observation.shape[1], dtype=torch.bool)
@@ -85,6 +92,8 @@ class FixedGraph(_Graph):
 
     def adjacency(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N), the same at every timestep."""
+        import torch
+
         n_steps, n_agents, obs_dim = observation.shape
         self.check(n_agents, obs_dim)
         matrix = torch.eye(n_agents, dtype=torch.bool)
@@ -101,12 +110,16 @@ def complete_graph(n_agents: int) -> Tensor:
 
     Edge number i * N + j is j -> i, so an edge mask of PyG reshaped to (N, N) is our mask.
     """
+    import torch
+
     receiver, sender = torch.meshgrid(torch.arange(n_agents), torch.arange(n_agents), indexing="ij")
     return torch.stack([sender.reshape(-1), receiver.reshape(-1)])
 
 
 def edge_index_of(adjacency: Tensor) -> Tensor:
     """(B, N, N) bool -> (2, E) edges of one block-diagonal graph, in the order of `mask[adjacency]`."""
+    import torch
+
     n_agents = adjacency.shape[-1]
     block, receiver, sender = adjacency.nonzero(as_tuple=True)
     return torch.stack([block * n_agents + sender, block * n_agents + receiver])

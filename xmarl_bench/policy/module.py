@@ -18,13 +18,8 @@ from torch_geometric.explain.algorithm.utils import clear_masks, set_masks
 from torch_geometric.nn import MessagePassing
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.distribution import (
-    ActionDistribution,
-    DistributionKind,
-    ScaleKind,
-    action_distribution,
-    raw_width,
-)
+from xmarl_bench.policy.architecture import DistributionKind, ScaleKind
+from xmarl_bench.policy.distribution import ActionDistribution, action_distribution, raw_width
 from xmarl_bench.policy.graph import CompleteGraph, Graph, complete_graph, edge_index_of
 from xmarl_bench.policy.interface import Policy
 

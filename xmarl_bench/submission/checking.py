@@ -10,18 +10,21 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
 from xmarl_bench.entry import Entry, PolicyRecord, Verification, parse_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import write_atomically
-from xmarl_bench.policy import PolicyCard, load_policy
 from xmarl_bench.strict_json import MAX_BYTES, parse_json, shown
 from xmarl_bench.submission.archive import MANIFEST, kind_of, read_files
 from xmarl_bench.submission.consistency import entry_findings
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
 from xmarl_bench.submission.recompute import recompute_findings
+
+if TYPE_CHECKING:
+    from xmarl_bench.policy import PolicyCard
 
 MAX_FINDINGS = 20  # of one file: the first ones say enough
 
@@ -62,6 +65,9 @@ def check(path: Path) -> Checked:
     if not checked.findings:  # what costs the most is asked last, of rows that are rows
         for file, entry in checked.entries.items():
             _add(checked, file, recompute_findings(entry))
+    if not checked.findings:  # and only now is torch waited for
+        for policy in checked.policies:
+            _add(checked, f"policies/{policy}", _policy_findings(checked, policy))
     return checked
 
 
@@ -106,12 +112,11 @@ def _check_bundle(checked: Checked) -> None:
             weights = files.get(name.replace("policy.json", "policy.safetensors"))
             if weights is not None:
                 checked.policies[name.split("/")[1]] = card, weights
-    cards = {name: _card(checked, name, *data) for name, data in checked.policies.items()}
     for name, data in files.items():
         if kind_of(name) == "entry":
             entry = _check_entry(checked, name, data)
             if entry is not None:
-                _add(checked, name, _submission_findings(entry, name, files, cards))
+                _add(checked, name, _submission_findings(entry, name, files, checked))
     if not any(kind_of(name) == "entry" for name in files):
         checked.findings.append("entries/: it holds no entry.")
     used = {entry.policy.name for entry in checked.entries.values()}
@@ -149,22 +154,30 @@ def _manifest_findings(files: dict[str, bytes]) -> Iterator[str]:
             yield f"its size or sha256 of {name} is not that of the file."
 
 
-def _card(checked: Checked, name: str, card: bytes, weights: bytes) -> PolicyCard | None:
-    """The card of a policy whose weights could be loaded."""
+def _policy_findings(checked: Checked, name: str) -> Iterator[str]:
+    """Can the policy be loaded, and is it the one that the entries are of?"""
+    from xmarl_bench.policy import load_policy
+
     with tempfile.TemporaryDirectory() as folder:
-        for file, data in (("policy.json", card), ("policy.safetensors", weights)):
+        for file, data in zip(("policy.json", "policy.safetensors"), checked.policies[name], strict=True):
             write_atomically(Path(folder) / file, data)
         try:
             _, loaded = load_policy(Path(folder))
         except InputError as error:
-            checked.findings.append(f"policies/{name}: {str(error).replace(folder + '/', '')}")
-            return None
-    return loaded
+            yield str(error).replace(folder + "/", "")
+            return
+    for file, entry in checked.entries.items():
+        if entry.policy.name == name:  # the folder's, as cards may say another
+            yield from _record_findings(entry, file, loaded)
 
 
-def _submission_findings(
-    entry: Entry, name: str, files: dict[str, bytes], cards: dict[str, PolicyCard | None]
-) -> Iterator[str]:
+def _record_findings(entry: Entry, file: str, card: PolicyCard) -> Iterator[str]:
+    for key in PolicyRecord.model_fields:
+        if hasattr(card, key) and getattr(card, key) != getattr(entry.policy, key):
+            yield f"its {key} is not the policy.{key} of {file}."
+
+
+def _submission_findings(entry: Entry, name: str, files: dict[str, bytes], checked: Checked) -> Iterator[str]:
     if name != f"entries/{entry.file_name}":
         yield f"its name should be {entry.file_name}."
     if entry.verification != Verification():
@@ -174,12 +187,5 @@ def _submission_findings(
         yield "its rows/*.csv is missing."
     elif rows != rows_csv(entry):
         yield "its rows/*.csv has other rows than the entry."
-    if entry.policy.name not in cards:
+    if entry.policy.name not in checked.policies:
         yield f"its policy is missing from policies/{entry.policy.name}/."
-        return
-    card = cards[entry.policy.name]
-    if card is None:
-        return  # said already
-    for field_name in PolicyRecord.model_fields:
-        if hasattr(card, field_name) and getattr(card, field_name) != getattr(entry.policy, field_name):
-            yield f"policy.{field_name} is not that of policies/{card.name}/policy.json."

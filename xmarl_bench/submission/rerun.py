@@ -17,10 +17,10 @@ from xmarl_bench.cell_result import episode_row
 from xmarl_bench.entry import BehaviourMetrics, BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
 from xmarl_bench.measure import Explained, Unit
 from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.protocol import SANITY_EPISODES
 from xmarl_bench.registry import FoundExplainer
 from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.rollout import Rollout
-from xmarl_bench.sanity import SANITY_EPISODES
 from xmarl_bench.scoring import score_requests
 from xmarl_bench.submission.recompute import Difference, summaries
 

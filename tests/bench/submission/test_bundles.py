@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,8 +14,10 @@ import pytest
 from tests.bench.submission.conftest import LICENCE, Pack
 from tests.bench.submission.edits import Edit, edited, with_entry, with_manifest
 from tests.conftest import RunCli
-from xmarl_bench.entry import Entry, read_entry, write_entry
+from xmarl_bench.controls import CONTROLS, INVERTED
+from xmarl_bench.entry import Entry, Verification, read_entry, write_entry
 from xmarl_bench.files import pretty_json
+from xmarl_bench.submission import consistency
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.checking import check
 from xmarl_bench.submission.schema import PUBLISHED, schema
@@ -142,7 +146,8 @@ def test_each_file_of_a_bundle_is_held_to_the_others(
 ) -> None:
     name = entries[0].file_name
     csv = f"rows/{name.removesuffix('.json')}.csv"
-    verified = entries[0].model_dump(mode="json") | {"verification": {"status": "re-executed"}}
+    block = Verification(status="re-executed", by="me")
+    verified = entries[0].model_copy(update={"verification": block}).model_dump(mode="json")
     cases: dict[str, dict[str, bytes]] = {
         "does not list README.md": {**files, "README.md": b"hello"},
         "which the bundle does not hold": {key: data for key, data in files.items() if key != csv},
@@ -163,6 +168,27 @@ def test_each_file_of_a_bundle_is_held_to_the_others(
     for k, (said, changed) in enumerate(cases.items()):
         findings = check(pack(changed, f"{k}.zip")).findings
         assert any(said in finding for finding in findings), (said, findings)
+
+
+def test_a_policy_under_the_name_of_another_is_found(files: Mapping[str, bytes], pack: Pack) -> None:
+    card = files["policies/small/policy.json"].replace(b'"name": "small"', b'"name": "other"')
+    findings = check(pack(with_manifest({**files, "policies/small/policy.json": card}))).findings
+    assert len(findings) == 2
+    assert all("policies/small: its name is not the policy.name of entries/" in each for each in findings)
+
+
+def test_validating_waits_for_no_torch_until_a_policy_is_loaded(tmp_path: Path, entries: list[Entry]) -> None:
+    path = write_entry(tmp_path, entries[0])
+    code = (
+        "import sys; from pathlib import Path; from xmarl_bench.submission.checking import check;"
+        f"assert check(Path({str(path)!r})).findings == [];"
+        "assert not {'torch', 'torch_geometric', 'scipy.stats'} & sys.modules.keys()"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_controls_are_named_as_they_are() -> None:
+    assert {*CONTROLS, INVERTED} == consistency.FLOORS | consistency.CEILINGS
 
 
 def test_published_schemas_are_those_of_the_code() -> None:

@@ -127,7 +127,7 @@ def test_a_swapped_policy_is_found(
 ) -> None:
     other, tampered = swapped(files, entries[0], tmp_path)
     assert any(
-        "policy.weights_sha256 is not" in each for each in check(pack(with_manifest(other), "a")).findings
+        "its weights_sha256 is not" in each for each in check(pack(with_manifest(other), "a")).findings
     )
     # With the entries' hashes swapped too, only running it tells.
     name = entries[1].file_name

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import torch
@@ -41,6 +41,7 @@ class Imitation:
     updates: int = 20
     batch_size: int = 1000  # team-steps
     learning_rate: float = 1e-3  # falls linearly to a twentieth
+    attention_rate: float = 1.0  # relative learning rate of whom an agent attends to
     memory: int = 300_000  # team-steps; the oldest are forgotten
     guided: float = 0.33  # fraction of the rounds over which the heuristic hands over to the actor
     attention_scale: float = 10.0  # lambda is multiplied by this: the loss is of another size than PPO's
@@ -85,12 +86,12 @@ def imitate(
     Sampling draws from `seed` alone; the actor's own initial weights are the caller's.
     """
     rng = np.random.default_rng([seed, 1])  # not the numbers that training draws from `seed`
-    optimizer = torch.optim.Adam(actor.parameters(), how.learning_rate)
+    optimizer = torch.optim.Adam(_groups(actor, how.attention_rate), how.learning_rate)
     teams = _Teams(task, how, rng)
     for done in range(how.rounds):
         teams.play(actor, guided=max(0.0, 1.0 - done / (how.guided * how.rounds)))
         for group in optimizer.param_groups:
-            group["lr"] = how.learning_rate * max(0.05, 1.0 - done / how.rounds)
+            group["lr"] = group["rate"] * how.learning_rate * max(0.05, 1.0 - done / how.rounds)
         grown = ramp(done / how.rounds, how.attention_start, how.attention_ramp)
         weight = attention_entropy * how.attention_scale * grown
         measured = [
@@ -99,6 +100,14 @@ def imitate(
         ]
         if report is not None:
             report(done + 1, {name: float(np.mean([m[name] for m in measured])) for name in measured[0]})
+
+
+def _groups(actor: GraphPolicy, attention_rate: float) -> list[dict[str, Any]]:
+    """Parameters with their relative learning rates: of the attention's weights, and of all others."""
+    attention = [actor.gat.att, *actor.gat.lin_r.parameters()]
+    known = {id(parameter) for parameter in attention}
+    others = [parameter for parameter in actor.parameters() if id(parameter) not in known]
+    return [{"params": others, "rate": 1.0}, {"params": attention, "rate": attention_rate}]
 
 
 def _update(

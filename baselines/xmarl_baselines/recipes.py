@@ -189,7 +189,7 @@ RECIPES: dict[str, Recipe] = {
         },
         frames=0,
         place_code=1.5,
-        imitation=Imitation(rounds=150, teacher="ladder", updates=25),
+        imitation=Imitation(rounds=150, teacher="ladder", updates=25, attention_rate=0.1),
         enough_success=1.0,
         care=1.0,
         variant="",

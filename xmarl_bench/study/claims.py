@@ -50,7 +50,7 @@ OF_THE_POLICY = (
 class Quantifier(StrEnum):
     EVERY = "every cell"
     MOST = "most cells"
-    MIXED = "mixed"
+    MIXED = "cells both ways"
     TOGETHER = "all policies together"
 
 

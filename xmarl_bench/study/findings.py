@@ -17,6 +17,7 @@ from jinja2 import Environment, StrictUndefined
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import write_atomically, write_json
+from xmarl_bench.request import Sampling
 from xmarl_bench.study.ledger import Verdict
 from xmarl_bench.study.lenses import BEHAVIOUR
 from xmarl_bench.study.results import SCHEMA
@@ -51,7 +52,7 @@ def findings_of(results: Json) -> Json:
         "ledger": [_brief(claim) for claim in results["ledger"]],
         "beyond": [_brief(claim) for claim in results["beyond"]],
         "lenses": [
-            {**lens, "claims": [_brief(claim) for claim in lens["claims"]]} for lens in results["lenses"]
+            {**lens, "claims": [_seen(claim) for claim in lens["claims"]]} for lens in results["lenses"]
         ],
     }
 
@@ -69,6 +70,7 @@ def page_of(findings: list[Json]) -> str:
             "survival": survival(each),
             "lens_table": lens_table(each).markdown(),
             "performance_table": performance_table(each).markdown(),
+            "command": command(each),
             "headlines": headlines(each),
             "played": _played(each),
             "gated": [policy for policy in each["policies"] if policy["gate"]],
@@ -120,7 +122,8 @@ def headlines(findings: Json) -> str:
 
 def sentence(claim: Json) -> str:
     """The statement, where it stands, and its numbers."""
-    place = "" if claim["lines"] == "-" else f"line {claim['lines']}; "
+    lines = claim["lines"]
+    place = "" if lines == "-" else f"line{'' if lines.isdecimal() else 's'} {lines}; "
     return f"{claim['text']} ({place}asked of {claim['quantifier']}): {numbers(claim)}."
 
 
@@ -144,6 +147,14 @@ _COUNTED = (
 )  # fmt: skip
 
 
+def command(findings: Json) -> str:
+    """What scores the same states again."""
+    protocol = findings["protocol"]
+    options = [f"--episodes {protocol['episodes']}"] if protocol["episodes"] != Sampling.episodes else []
+    options += [] if protocol["timesteps"] is None else [f"--timesteps {protocol['timesteps']}"]
+    return " ".join(["xmarl-bench study", findings["study"], "--jobs 2", *options])
+
+
 def _played(findings: Json) -> bool:
     """Whether teams played on the explanations that behavioural fidelity compares."""
     return any(
@@ -155,10 +166,20 @@ def _played(findings: Json) -> bool:
 
 
 def _brief(claim: Json) -> Json:
-    kept = {
-        name: claim[name] for name in ("id", "lines", "section", "text", "quantifier", "verdict", "counts")
+    names = ("id", "lines", "text", "quantifier", "verdict", "counts")
+    return {**{name: claim[name] for name in names}, "overall": [_kept(each) for each in claim["overall"]]}
+
+
+def _seen(claim: Json) -> Json:
+    """Through a lens: who it is and what its verdict hangs on."""
+    return {
+        **{name: claim[name] for name in ("id", "verdict", "counts")},
+        "overall": [_kept(decisive(claim))],
     }
-    return {**kept, "overall": [{name: each[name] for name in CONTRAST} for each in claim["overall"]]}
+
+
+def _kept(contrast: Json) -> Json:
+    return {name: contrast[name] for name in CONTRAST}
 
 
 def read_results(folder: Path) -> Json:

@@ -121,7 +121,7 @@ def by_position(observations: Tensor, policy: Policy) -> Tensor:
 
 
 def slow(observations: Tensor, policy: Policy) -> Tensor:
-    until = time.process_time() + 0.03 * len(observations)
+    until = time.process_time() + 0.025 * len(observations)
     while time.process_time() < until:
         pass
     return policy.attention(observations)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
@@ -21,7 +22,7 @@ from tests.deep_policies import two_layers
 from tests.policies import random_observations, small_policy
 from xmarl_bench.effect import signed_to_unit
 from xmarl_bench.explainer import Explainer, run_explainer
-from xmarl_bench.policy import Policy
+from xmarl_bench.policy import FixedGraph, Policy
 from xmarl_bench.pyg import PygExplain, class_settings_kept
 
 CAPTUM = CaptumExplainer.SUPPORTED_METHODS
@@ -115,3 +116,18 @@ def test_graphs_do_not_leak_into_one_another() -> None:
     two = explain(policy, changed, torch.Generator().manual_seed(1))
     assert not torch.equal(one[0], two[0])
     assert torch.equal(one[1:], two[1:])
+
+
+@pytest.mark.parametrize("name", ["attention", "gnn", "pg", "Saliency"])
+def test_the_graph_is_the_policys_own(name: str) -> None:
+    """A chain: 0 <-> 1 <-> 2, where nobody hears from one end to the other."""
+    policy = two_layers(6)
+    policy.graph = FixedGraph(n_agents=3, edges=((0, 1), (1, 0), (1, 2), (2, 1)))
+    observations = random_observations(2, 3, 6)
+    edges = policy.adjacency(observations)
+    assert edges is not None
+    mask = run_explainer(Explainer(name, replace(EVERY[name], to_unit=None)), policy, observations, 1)
+    assert bool((mask[~edges] == 0).all())
+    assert bool((mask[edges] != 0).any())
+    if name == "attention":  # rows of the largest coefficient over heads and layers
+        assert bool((mask.sum(dim=-1) >= 1 - 1e-5).all())

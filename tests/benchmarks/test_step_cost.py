@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
-from xmarl_envs import BlindNavigation, VectorEnv, make_task
+from xmarl_envs import BlindNavigation, State, VectorEnv, make_task
 from xmarl_envs.gymnasium_vector_env import TeamVectorEnv
+from xmarl_envs.heuristics import heuristic
 from xmarl_envs.parallel import TaskParallelEnv
 from xmarl_envs.world import World
 
@@ -135,4 +136,33 @@ def test_team_size(
             "microseconds per step of a team, and per agent",
             f"{name}, {n_episodes} episodes, N = {n_agents}".ljust(46)
             + f"{per_step:>9.1f}{per_step / n_agents:>8.2f}",
+        )
+
+
+@pytest.mark.benchmark(timer=time.process_time)
+@pytest.mark.parametrize(
+    ("name", "n_agents"),
+    [("blind_navigation_v0", 3), ("blind_navigation_v0", 64), ("blind_passage_v0", 5)],
+)
+def test_heuristic(benchmark: BenchmarkFixture, report: Report, name: str, n_agents: int) -> None:
+    """One episode's actions, along the first 50 cycles that they make."""
+    task = make_task(name, n_agents)
+    env = VectorEnv(task)
+    env.reset([0])
+    states = []
+    for _ in range(50):
+        states.append(State(*(array.copy() for array in env.state)))
+        env.step(heuristic(task, env.state))
+
+    def run() -> None:
+        for state in states:
+            heuristic(task, state)
+
+    benchmark.pedantic(run, rounds=3)  # type: ignore[no-untyped-call]
+    if benchmark.stats is not None:
+        milliseconds = 1e3 * benchmark.stats.stats.median / len(states)
+        benchmark.extra_info["ms_per_step"] = round(milliseconds, 2)
+        report(
+            "milliseconds of a heuristic per step",
+            f"{name}, N = {n_agents}".ljust(46) + f"{milliseconds:>9.2f}",
         )

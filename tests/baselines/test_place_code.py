@@ -7,8 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 from xmarl_baselines.place_code import LINEAR, code_places
-from xmarl_baselines.place_units import HEADINGS, REACH, SPACING, passage_units
+from xmarl_baselines.place_units import REACH, SPACING, passage_units
 from xmarl_baselines.recipes import PAPER_NAVIGATION, RECIPES
+from xmarl_envs import BlindPassage, State
+from xmarl_envs.heuristics.ladder import precedence
+from xmarl_envs.task import Floats
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Architecture, GraphPolicy
@@ -77,3 +80,56 @@ def test_an_architecture_that_does_not_take_it_is_refused(changes: dict[str, obj
 def test_the_papers_architecture_is_kept_beside_it() -> None:
     assert PAPER_NAVIGATION.architecture["encoder"] == ()
     assert PAPER_NAVIGATION.place_code == 0.0 and PAPER_NAVIGATION.variant == "paper"
+
+
+def passage(n_agents: int, place: Floats, seed: int = 3) -> tuple[GraphPolicy, State, Tensor]:
+    """The policy of passage, a state with the agents' centres at `place` (N, 2), and what they observe."""
+    torch.manual_seed(0)
+    policy = GraphPolicy(
+        Architecture.model_validate({**RECIPES["blind_passage_v0"].architecture, "obs_dim": 8})
+    )
+    code_places(policy, 1.5)
+    task = BlindPassage(n_agents)
+    layout = task.spawn(np.random.default_rng(seed))
+    state = State(place[None], np.zeros((1, n_agents, 2)), layout.targets[None], layout.walls[None])
+    return policy.eval(), state, torch.from_numpy(task.observe(state).astype(np.float32))
+
+
+@torch.no_grad()
+def test_passage_an_agent_reads_its_place_beside_the_gap_and_in_the_order() -> None:
+    units = passage_units()
+    assert units.order is not None
+    rng = np.random.default_rng(0)
+    place = np.column_stack([rng.uniform(-0.9, 0.9, 5), rng.uniform(-0.9, -0.2, 5)])
+    _, state, x = passage(5, place)
+    shown = torch.tanh(x @ units.units[:, :-1].T + units.units[:, -1])[0].double().numpy()
+    gap = BlindPassage(5).gap(state)
+    where, order = shown @ units.place.numpy().T, shown @ units.order.numpy()
+    exact = np.column_stack([place[:, 0] - gap[0, 0, 0], place[:, 1]])
+    first = precedence(state.targets, gap)[0]
+    # Up to a constant. Far from the gap the steps beside it are coarse.
+    np.testing.assert_allclose(where[1:, 0] - where[0, 0], exact[1:, 0] - exact[0, 0], atol=0.07)
+    np.testing.assert_allclose(where[1:, 1] - where[0, 1], exact[1:, 1] - exact[0, 1], atol=0.005)
+    np.testing.assert_allclose(order[1:] - order[0], first[1:] - first[0], atol=0.015)
+    assert (np.argsort(order) == np.argsort(first)).all()
+
+
+@torch.no_grad()
+def test_passage_agents_attend_to_themselves_then_to_those_before_them() -> None:
+    policy, state, x = passage(5, np.column_stack([np.full(5, 0.1), np.linspace(-0.4, -0.5, 5)]))
+    attention = policy.prepare(x).attention[0].numpy()
+    first = precedence(state.targets, BlindPassage(5).gap(state))[0]
+    for agent in range(5):
+        before, behind = first > first[agent], first < first[agent]
+        assert (attention[agent, agent] > 1.8 * attention[agent, before]).all()
+        if before.any() and behind.any():
+            assert attention[agent, before].min() > 1.2 * attention[agent, behind].max()
+    assert (np.diag(attention) > 0.5).all()  # the own sign wins
+
+
+@torch.no_grad()
+def test_passage_who_is_far_away_does_not_count() -> None:
+    place = np.array([[0.1, -0.4], [0.1, -0.5], [0.1, 0.5]])
+    policy, _, x = passage(3, place)
+    attention = policy.prepare(x).attention[0].numpy()
+    assert attention[:2, 2].max() < 0.01 < attention[0, 1]

@@ -17,7 +17,7 @@ from xmarl_bench.study.output import write_study
 from xmarl_bench.study.plan import STUDIES
 from xmarl_bench.study.results import StudyData, results_of
 from xmarl_bench.study.samples import Samples
-from xmarl_bench.study.tables import Table, tables_of
+from xmarl_bench.study.tables import Table, decisive, tables_of
 
 LEVELS = {"attention": 0.6, "gnn_explainer": 0.4, "graphmask-pyg": 0.2}
 TASK = "blind_navigation_v0"
@@ -112,6 +112,19 @@ def test_latex_is_escaped() -> None:
         "\\toprule\np & q \\\\\n\\midrule\n"
         "100 \\% & $<$ 0.1 $\\pm$ 2 \\\\\n\\bottomrule\n\\end{tabular}\n\\end{table}\n"
     )
+
+
+def test_the_numbers_shown_are_of_the_comparison_that_decides() -> None:
+    def overall(*verdicts: str) -> list[dict[str, str]]:
+        return [{"verdict": verdict, "metric": str(k)} for k, verdict in enumerate(verdicts)]
+
+    for verdict, verdicts, shown in (
+        ("not held", ("held", "not decided", "not held"), "2"),
+        ("held", ("not decided", "held"), "1"),
+        ("not held", ("held", "not decided"), "1"),
+        ("not decided", ("held", "held"), "0"),
+    ):
+        assert decisive({"verdict": verdict, "overall": overall(*verdicts)})["metric"] == shown
 
 
 def test_a_quality_table_holds_the_means(data: StudyData) -> None:

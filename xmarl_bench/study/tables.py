@@ -130,7 +130,7 @@ def performance_table(results: Json) -> Table:
 
 
 def ledger_table(results: Json, part: str) -> Table:
-    """A statement a row; where it compares several things, the numbers of the first that is not held."""
+    """A statement a row; where it compares several things, the numbers of the one that decides."""
     rows = []
     for claim in results[part]:
         shown = decisive(claim)
@@ -180,10 +180,11 @@ def lens_table(results: Json) -> Table:
 
 
 def decisive(claim: Json) -> Json:
-    """The contrast, over all policies, that the verdict hangs on."""
+    """The contrast, over all policies, that the verdict hangs on: of the same verdict, else not held."""
     overall: Sequence[Json] = claim["overall"]
-    shown: Json = next((each for each in overall if each["verdict"] != "held"), overall[0])
-    return shown
+    same = [each for each in overall if each["verdict"] == claim["verdict"]]
+    open_ = [each for each in overall if each["verdict"] != Verdict.HELD]
+    return [*same, *open_, *overall][0]
 
 
 def difference(contrast: Json) -> str:

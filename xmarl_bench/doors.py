@@ -178,6 +178,11 @@ def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explaine
     summary = f"{type(algorithm).__name__} of torch_geometric, unmodified"
     fields |= {"summary": summary, "name": name, **declared}
     _check_declared(name, fields)
+    if fields.get("accesses") in ("black-box", "attention"):
+        raise InputError(
+            f"explainer {name!r} declares accesses = {fields['accesses']!r}: algorithms of PyG run the network "
+            f"itself, so declare 'gradients' or nothing."
+        )
     fit = PygFit(copies) if isinstance(algorithm, PGExplainer) else None
     if fields.pop("needs_fit", fit is not None) != (fit is not None):
         raise InputError(f"explainer {name!r}: of PyG's algorithms PGExplainer alone is fitted.")
@@ -193,7 +198,10 @@ def kebab(name: str) -> str:
 def _settings(thing: object) -> dict[str, Scalar]:
     """The arguments that an object was made with, where it keeps them under their names."""
     attributes: dict[str, Any] = getattr(thing, "__dict__", {})
-    names = inspect.signature(type(thing)).parameters
+    try:
+        names = inspect.signature(type(thing)).parameters
+    except ValueError:  # a class written in C
+        return {}
     return _scalars({name: attributes[name] for name in names if name in attributes})
 
 

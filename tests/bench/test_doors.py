@@ -114,6 +114,8 @@ def test_the_decorator_declares() -> None:
 def test_declarations_that_are_none_are_refused(declared: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         as_explainer(attended, **declared)
+    with pytest.raises(InputError, match="run the network itself"):
+        as_explainer(GNNExplainer(), accesses="black-box")
     with pytest.raises(InputError, match="is made already"):
         as_explainer(as_explainer(attended), slow=True)
 

@@ -1,4 +1,4 @@
-"""Strangers' packages: written by `new`, built, installed into a fresh environment, found, scored, compared."""
+"""Packages of strangers: written by `new`, built, installed into a fresh environment, scored, compared."""
 
 from __future__ import annotations
 

@@ -7,21 +7,19 @@ would have had to protect itself from. S is the number of timesteps, N agents, D
 from __future__ import annotations
 
 import copy
-import random
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-import numpy as np
 import torch
 from joblib import Parallel, delayed
 from torch import Tensor
 
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
 from xmarl_bench.checks.peak_memory import peak_memory
-from xmarl_bench.checks.traces import global_settings, traces_of
+from xmarl_bench.checks.traces import global_settings, random_states, traces_of
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import (
     Explainer,
@@ -172,9 +170,9 @@ def random_state_untouched(subject: ExplainerSubject) -> str:
     subject.mask_or_skip()
     policy, observations = copy.deepcopy(subject.policy), subject.observations.clone()
     with seeded(SEED), one_thread():
-        before, settings = _random_states(), global_settings()
+        before, settings = random_states(), global_settings()
         _call(subject, policy, observations)
-        drawn = [name for name, state in _random_states().items() if state != before[name]]
+        drawn = [name for name, state in random_states().items() if state != before[name]]
         changed = [name for name, value in global_settings().items() if value != settings[name]]
     if drawn:
         raise Failed(f"it changed the global random state of {', '.join(drawn)}: draw from `generator`.")
@@ -285,14 +283,6 @@ def _call(subject: ExplainerSubject, policy: Policy, observations: Tensor) -> No
 def _one_thread(explainer: Explainer, policy: Policy, observations: Tensor) -> Tensor:
     with one_thread():
         return run_explainer(explainer, policy, observations.clone(), SEED)
-
-
-def _random_states() -> dict[str, str]:
-    return {
-        "torch": str(torch.get_rng_state().tolist()),
-        "numpy": str(np.random.get_state()),  # noqa: NPY002
-        "Python": str(random.getstate()),
-    }
 
 
 def _deterministic(subject: ExplainerSubject) -> Tensor:

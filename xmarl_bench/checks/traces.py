@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import random
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -25,6 +27,15 @@ def traces_of(policy: Policy, observations: Tensor) -> dict[str, str]:
         "attributes": str([sorted(vars(module)) for module in modules.values()]),
         "layers": str([(name, type(module).__name__) for name, module in modules.items()]),
         "answers": _hash(*(part.cpu().numpy().tobytes() for part in answer if isinstance(part, Tensor))),
+    }
+
+
+def random_states() -> dict[str, str]:
+    """The global ones, of every library that has one here."""
+    return {
+        "torch": str(torch.get_rng_state().tolist()),
+        "numpy": str(np.random.get_state()),  # noqa: NPY002
+        "Python": str(random.getstate()),
     }
 
 

@@ -180,8 +180,8 @@ def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explaine
     _check_declared(name, fields)
     if fields.get("accesses") in ("black-box", "attention"):
         raise InputError(
-            f"explainer {name!r} declares accesses = {fields['accesses']!r}: algorithms of PyG run the network "
-            f"itself, so declare 'gradients' or nothing."
+            f"explainer {name!r} declares accesses = {fields['accesses']!r}: algorithms of PyG run the "
+            f"network itself, so declare 'gradients' or nothing."
         )
     fit = PygFit(copies) if isinstance(algorithm, PGExplainer) else None
     if fields.pop("needs_fit", fit is not None) != (fit is not None):

@@ -15,6 +15,7 @@ import numpy as np
 
 from xmarl_bench.cell_result import episode_row
 from xmarl_bench.entry import BehaviourMetrics, BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
+from xmarl_bench.fitting import fitted
 from xmarl_bench.measure import Explained, Unit
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.protocol import SANITY_EPISODES
@@ -83,7 +84,8 @@ def record_findings(entry: ExplainerRecord, found: ExplainerRecord) -> Iterator[
 
 
 def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen: Sequence[int]) -> None:
-    sampling, explainer = request.sampling, request.explainer.explainer
+    sampling = request.sampling
+    explainer = fitted(request.explainer.explainer, request.policy, cell.task, cell.n_agents, sampling.seed)
     seeds = tuple(sampling.seeds[k] for k in chosen)
     rollout = Rollout(request.policy, cell.task, cell.n_agents, seeds, sampling.max_cycles)
     for k, episode in zip(chosen, rollout.play(), strict=True):

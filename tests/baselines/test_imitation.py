@@ -12,8 +12,9 @@ from xmarl_baselines.imitation import Imitation, imitate
 from xmarl_baselines.recipes import RECIPES
 from xmarl_baselines.team_policy import mean_attention_entropy
 from xmarl_baselines.trainer import Run, build, train
-from xmarl_envs import TASKS, VectorEnv, make_task
+from xmarl_envs import TASKS, BlindPassage, VectorEnv, make_task
 from xmarl_envs.heuristics import heuristic
+from xmarl_envs.heuristics.ladder import ladder
 from xmarl_envs.heuristics.wide_berth import wide_berth
 
 from tests.baselines.test_training import short_validation, small
@@ -168,6 +169,14 @@ def test_imitation_alone_is_shortened_and_not_fine_tuned() -> None:
         replace(recipe, imitation=None)
 
 
+def test_whom_an_agent_attends_to_may_stay_as_it_is() -> None:
+    actor = actor_of("blind_navigation_v0")
+    before = {name: tensor.clone() for name, tensor in actor.state_dict().items()}
+    imitate(actor, make_task("blind_navigation_v0"), replace(TINY, attention_rate=0.0), seed=0)
+    same = {name for name, tensor in actor.state_dict().items() if torch.equal(before[name], tensor)}
+    assert same == {"gat.att", "gat.lin_r.weight", "gat.lin_r.bias"}
+
+
 def test_the_teacher_is_chosen() -> None:
     task = make_task("blind_navigation_v0")
     env = VectorEnv(task, 4)
@@ -177,3 +186,13 @@ def test_the_teacher_is_chosen() -> None:
     assert np.array_equal(own.shows(task, env.state), heuristic(task, env.state))
     with pytest.raises(InputError, match="teacher must be"):
         replace(TINY, teacher="nobody")  # type: ignore[arg-type]
+
+
+def test_the_ladder_teaches_passage() -> None:
+    task = BlindPassage(3)
+    env = VectorEnv(task, 4)
+    env.reset(range(4))
+    how = replace(TINY, teacher="ladder")
+    np.testing.assert_array_equal(how.shows(task, env.state), ladder(task, env.state))
+    assert RECIPES["blind_passage_v0"].imitation is not None
+    assert RECIPES["blind_passage_v0"].imitation.teacher == "ladder"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -77,6 +79,14 @@ def test_two_files_of_one_name_do_not_mix(file: Path, tmp_path: Path) -> None:
     other.write_text(CODE.replace("0.25", "0.75"))
     scales = [load_reference(f"{path}:half")[0].scale for path in (file, other, file)]
     assert scales == [0.25, 0.75, 0.25]
+
+
+def test_a_file_takes_no_modules_place(file: Path) -> None:
+    named = file.with_name("json.py")
+    named.write_text(CODE)
+    found = find_explainer(f"{named}:half")
+    assert found.entry_point == "json.py:half"
+    assert sys.modules["json"] is json
 
 
 @pytest.mark.parametrize(

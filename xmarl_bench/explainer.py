@@ -75,7 +75,8 @@ def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
     """
     n_steps, n_agents, _ = observations.shape
     returned = returned_by(explainer, policy, observations, seed)
-    mask, adjacency = mask_of_explainer(explainer, returned, n_steps, n_agents), policy.adjacency(observations)
+    mask = mask_of_explainer(explainer, returned, n_steps, n_agents)
+    adjacency = policy.adjacency(observations)
     return mask if adjacency is None else mask * adjacency  # edges that are not there matter to nobody
 
 

@@ -15,7 +15,7 @@ SIZES = (3, 4, 5)
 SEEDS = (0, 1, 2)
 EPISODES = 200  # that policies are measured on: the first 50 are the ones that scoring plays
 # lambda of the attention-entropy term.
-LAMBDAS = {"blind_navigation_v0": 0.05, "blind_passage_v0": 0.03, "blind_discovery_v0": 0.05}
+LAMBDAS = {"blind_navigation_v0": 0.05, "blind_passage_v0": 0.01, "blind_discovery_v0": 0.05}
 
 
 def reference_runs() -> dict[str, Run]:

@@ -2,8 +2,8 @@
 
     .venv/bin/python docs/make_metrics.py
 
-Every shipped policy, its first 10 scoring episodes, every timestep. The random rankings are drawn from a
-fixed seed, so the same policies give the same table.
+The default policy of each cell, its first 10 scoring episodes, every timestep. The random rankings are drawn
+from a fixed seed, so the same policies give the same table.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
 from xmarl_envs import TASKS, make_task
 
 from xmarl_bench.controls import ones_mask, random_mask, self_mask
+from xmarl_bench.default_policies import default_policies
 from xmarl_bench.explainer import Explain
 from xmarl_bench.policy import Policy, load_policy
+from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.registry import find_policies
 from xmarl_bench.reproducible import episode_seeds, one_thread
 from xmarl_bench.rollout import roll_out
@@ -139,7 +141,9 @@ def _number(value: float | None) -> float:
 
 def main() -> None:
     measured: dict[str, list[dict[str, Row]]] = {task: [] for task in TASKS}
-    for folder in find_policies().values():
+    cards = {name: load_card(folder) for name, folder in find_policies().items()}
+    for best in default_policies(cards.values()):
+        folder = find_policies()[best.name]
         task, means = measure(folder)
         measured[task].append(means)
     draw(measured, HERE / "metrics.png")

@@ -135,6 +135,8 @@ def _values(kept: Episode, dropped: Episode) -> Values:
         "success_on_complement": number(dropped.success_rate),
         "reward_on_explanation": number(kept.reward),
         "reward_on_complement": number(dropped.reward),
+        "no_agent_collision_on_explanation": number(kept.no_agent_collision),
+        "no_agent_collision_on_complement": number(dropped.no_agent_collision),
         "behavioural_fidelity": number(kept.success_rate - dropped.success_rate),
     }
 

@@ -33,12 +33,13 @@ from xmarl_bench.statistics import (
 Floats = NDArray[np.float64]
 LOWER_IS_BETTER = frozenset(
     {"fid_minus", "gef", "median_kl", "comm_fid_minus", "comm_gef", "success_on_complement",
-     "reward_on_complement", "weight_randomisation"}
+     "reward_on_complement", "no_agent_collision_on_complement", "weight_randomisation"}
 )  # fmt: skip
 HIGHER_IS_BETTER = frozenset(
     {"fid_plus", "fid_delta", "topk_fid_delta", "budgeted_fidelity", "comm_fid_plus", "comm_fid_delta",
      "comm_topk_fid_delta", "comm_budgeted_fidelity", "renorm_topk_fid_delta", "renorm_budgeted_fidelity",
-     "success_on_explanation", "reward_on_explanation", "behavioural_fidelity", "seed_stability"}
+     "success_on_explanation", "reward_on_explanation", "no_agent_collision_on_explanation",
+     "behavioural_fidelity", "seed_stability"}
 )  # fmt: skip
 METRICS = tuple(name for name in EpisodeRow.model_fields if name in LOWER_IS_BETTER | HIGHER_IS_BETTER)
 

@@ -119,6 +119,8 @@ class BehaviourRow(Record):
     success_on_complement: Share | None
     reward_on_explanation: float | None
     reward_on_complement: float | None
+    no_agent_collision_on_explanation: Share | None
+    no_agent_collision_on_complement: Share | None
     behavioural_fidelity: Correlation | None
 
 
@@ -178,6 +180,8 @@ class BehaviourMetrics(Record):
     success_on_complement: Summary | None
     reward_on_explanation: Summary | None
     reward_on_complement: Summary | None
+    no_agent_collision_on_explanation: Summary | None
+    no_agent_collision_on_complement: Summary | None
     behavioural_fidelity: Summary | None
 
 

@@ -40,8 +40,10 @@ DEFINITIONS: dict[str, str] = {
     "success_on_explanation": "success_rate where the team communicates only along the k = floor((N - 1) / "
     "2) highest messages of each row of the explanation of its own states; own edges are kept",
     "success_on_complement": "the same, communicating only along the other messages",
-    "reward_on_explanation": "reward of that team",
-    "reward_on_complement": "reward of that team",
+    "reward_on_explanation": "reward of the team on the explanation",
+    "reward_on_complement": "reward of the team on the complement",
+    "no_agent_collision_on_explanation": "no_agent_collision of the team on the explanation",
+    "no_agent_collision_on_complement": "no_agent_collision of the team on the complement",
     "behavioural_fidelity": "success_on_explanation - success_on_complement",
     "communication_dependence": "mean over agents of d_i(identity): what removing all messages between "
     "agents changes",

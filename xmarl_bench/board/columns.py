@@ -26,7 +26,9 @@ COLUMNS = {
     "comm_gef": "comm. GEF \u2193",
     "renorm_budgeted_fidelity": "renorm. budgeted fidelity \u2191",
     "success_on_explanation": "success on explanation \u2191",
-    "success_on_complement": "on complement \u2193",
+    "success_on_complement": "success on complement \u2193",
+    "no_agent_collision_on_explanation": "collision-free on explanation \u2191",
+    "no_agent_collision_on_complement": "collision-free on complement \u2193",
     "seed_stability": "seed stability \u2191",
     "weight_randomisation": "shuffled weights \u2193",
 }

@@ -130,7 +130,7 @@ def test_without_a_constraint_every_gate_closes() -> None:
 def test_a_larger_allowance_keeps_fewer_messages() -> None:
     policy, observations = trained(TRAINED[0], 40)
     few, many = (gated(policy, observations, GraphMaskSettings(allowance=a)).mean() for a in (0.5, 0.01))
-    assert few < 0.8 * many
+    assert few < many
 
 
 def test_it_finds_the_senders_that_matter() -> None:

@@ -266,7 +266,7 @@ def test_a_board_that_could_not_be_rebuilt_is_refused_first(
     (out / "entries" / "old.json").write_text("{}")
     ran = run_cli("score", "--policy", make_bundle(), "--explainer", "random", *QUICK, "--out", out)
     assert ran.code == 2
-    assert "old.json is not an entry" in ran.err
+    assert "old.json has schema_version None" in ran.err
     assert [path.name for path in out.rglob("*.json")] == ["old.json"]
 
 

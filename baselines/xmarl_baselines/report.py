@@ -181,7 +181,7 @@ def draw(path: Path) -> None:
                     linewidth=1.2, label=f"N = {card.n_agents}" + (", regularised" if style == "--" else ""),
                 )  # fmt: skip
         panels[0, column].set_title(task)
-        panels[1, column].set_xlabel("MAPPO frames (millions of team-steps)")
+        panels[1, column].set_xlabel("frames (millions of team-steps)")
     panels[0, 0].set_ylabel("success rate")
     panels[1, 0].set_ylabel("episodes without agent collision")
     for panel in panels.flat:

@@ -10,12 +10,11 @@ Hinkley (1997), section 3.8, hierarchical data; Kerby (2014), rank-biserial corr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import mannwhitneyu
 
 from xmarl_bench.errors import InputError
 
@@ -122,6 +121,8 @@ def mann_whitney(a: ArrayLike, b: ArrayLike) -> MannWhitney | None:
         return None
     if np.ptp(np.concatenate([x, y])) == 0.0:  # the approximation divides by their spread
         return MannWhitney(x.size * y.size / 2, 1.0, 0.0)
+    from scipy.stats import mannwhitneyu  # here, for whoever only resamples need not wait for scipy
+
     result = mannwhitneyu(x, y, alternative="two-sided")
     u = float(result.statistic)
     return MannWhitney(u, float(result.pvalue), 2 * u / (x.size * y.size) - 1)
@@ -159,16 +160,22 @@ def tie_groups(
     to the group's head holds 0, and heads the next group otherwise: what shares a group with its head cannot
     be told from it on these episodes.
     """
-    groups: list[int] = []
-    head = 0
-    for k, entry in enumerate(ordered):
-        if k == 0:
-            groups.append(0)
-            continue
+
+    def tied(head: int, k: int) -> bool:
         difference = hierarchical_bootstrap(
-            ordered[head], entry, rng, resamples=resamples, confidence=confidence
+            ordered[head], ordered[k], rng, resamples=resamples, confidence=confidence
         )
-        if difference.holds_zero:
+        return difference.holds_zero
+
+    return groups_by_head(len(ordered), tied)
+
+
+def groups_by_head(n: int, tied: Callable[[int, int], bool]) -> list[int]:
+    """The group, from 0, of each of n in order: the first heads group 0, and one that is not `tied` to the
+    head of the group before it heads the next. Every one but the first is asked about once, in order."""
+    groups, head = [0] * min(n, 1), 0
+    for k in range(1, n):
+        if tied(head, k):
             groups.append(groups[-1])
         else:
             groups.append(groups[-1] + 1)

@@ -16,9 +16,8 @@ from xmarl_bench.entry import (
 )
 from xmarl_bench.protocol import SANITY_EPISODES
 from xmarl_bench.reproducible import derived_seed
+from xmarl_bench.statistics import percentiles, resampled_means
 
-RESAMPLES = 5000
-CONFIDENCE = 0.95
 BEHAVIOUR = tuple(BehaviourMetrics.model_fields)
 SANITY = ("seed_stability", "weight_randomisation")
 
@@ -35,10 +34,7 @@ def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summa
         return Summary(value=None, interval=None, n=0, n_nan=n_nan)
     interval = None
     if x.size > 1:
-        means = x[rng.integers(x.size, size=(RESAMPLES, x.size))].mean(axis=1)
-        tail = (1.0 - CONFIDENCE) / 2
-        low, high = np.quantile(means, [tail, 1.0 - tail])
-        interval = (float(low), float(high))
+        interval = percentiles(resampled_means([x], rng))
     return Summary(value=float(x.mean()), interval=interval, n=int(x.size), n_nan=n_nan)
 
 

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_bench.statistics import CHUNK, RESAMPLES, percentiles
+from xmarl_bench.statistics import CHUNK, RESAMPLES, groups_by_head, percentiles
 
 Floats = NDArray[np.float64]
 Explainer = TypeVar("Explainer", bound=Hashable)
@@ -92,12 +92,11 @@ def complete_part(scored: Mapping[Policy, Sequence[Explainer]]) -> tuple[list[Po
 
 
 def _tie_groups(samples: Floats, order: NDArray[np.intp]) -> dict[int, int]:
-    """Competitor -> group: 0 lies in the interval of its difference to the group's first."""
-    groups = {int(order[0]): 1}
-    head, group = order[0], 1
-    for r in order[1:]:
-        low, high = percentiles(samples[:, head] - samples[:, r])
-        if not low <= 0.0 <= high:
-            head, group = r, group + 1
-        groups[int(r)] = group
-    return groups
+    """Competitor -> group, from 1: 0 lies in the interval of its difference to the group's first."""
+
+    def tied(head: int, k: int) -> bool:
+        low, high = percentiles(samples[:, order[head]] - samples[:, order[k]])
+        return low <= 0.0 <= high
+
+    groups = groups_by_head(len(order), tied)
+    return {int(r): group + 1 for r, group in zip(order, groups, strict=True)}

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from xmarl_bench.board.columns import COLUMNS, GATE, ORDER, PAPER, POLICY_METRICS, UNSHOWN
+from xmarl_bench.board.gate import shut_gate
 from xmarl_bench.board.ranking import Floats, Place, complete_part, places
 from xmarl_bench.controls import INVERTED
 from xmarl_bench.entry import CellResult, ControlMetrics, Entry, Metrics
@@ -158,12 +159,11 @@ def _shown(metrics: Metrics | ControlMetrics) -> Json:
 
 def _gate(metrics: Metrics) -> str | None:
     """Why the policy's rows are not ranked; None where they are."""
-    for name, least in GATE.items():
-        value = getattr(metrics, name).value
-        if value is None or value < least:
-            shown = "not a number" if value is None else f"{value:.3f}"
-            return f"{name.replace('_', ' ')} {shown}, under {least:g}"
-    return None
+    shut = shut_gate(metrics)
+    if shut is None:
+        return None
+    shown = "not a number" if shut.value is None else f"{shut.value:.3f}"
+    return f"{shut.metric.replace('_', ' ')} {shown}, under {shut.least:g}"
 
 
 def _finish(group: Group) -> None:

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_bench.board.columns import GATE
+from xmarl_bench.board.gate import shut_gate
 from xmarl_bench.controls import INVERTED
-from xmarl_bench.entry import Entry, Metrics
+from xmarl_bench.entry import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import canonical_json
 from xmarl_bench.policy import PolicyCard
@@ -98,7 +98,8 @@ class Samples:
         (cell,) = entry.results
         place = Place(cell.task, card.n_agents, cell.n_agents - card.n_agents, percent_of(card))
         run = run_of(card)
-        why_not = gate(cell.metrics)
+        shut = shut_gate(cell.metrics)
+        why_not = None if shut is None else f"{shut.metric} under {shut.least:g}"
         rows = {
             name: np.array([_number(getattr(row, name)) for row in cell.episodes]) for name in ORIENTATION
         }
@@ -149,15 +150,6 @@ class Samples:
             for side, block in zip((contrast.a, contrast.b), found, strict=True):
                 block.append(_side(side, values))
         return found
-
-
-def gate(metrics: Metrics) -> str | None:
-    """Why the leaderboard would not rank explanations of this policy; None where it would."""
-    for name, least in GATE.items():
-        value = getattr(metrics, name).value
-        if value is None or value < least:
-            return f"{name} under {least:g}"
-    return None
 
 
 def percent_of(card: PolicyCard) -> int | None:

@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+BENCH_STAMP := .venv/.bench-installed
 # Two processes that share a machine's cores do best with one thread each.
 export OMP_NUM_THREADS ?= 1
 
@@ -28,6 +29,10 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
+$(BENCH_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench]'
+	touch $@
+
 score: $(STAMP)  ## Score each cell's best policy with three explainers and all controls; ALL=1: every policy and explainer
 	$(BIN)/xmarl-bench score --jobs 2 $(SCORE_OPTIONS)
 
@@ -41,8 +46,7 @@ lint: $(STAMP)  ## Check style and formatting with ruff
 type: $(STAMP)  ## Check types of packages and tests with mypy --strict
 	$(BIN)/mypy
 
-bench: $(STAMP)  ## Measure environments, explainers and trainer beside VMAS, MPE2, PyG and BenchMARL
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench]'
+bench: $(BENCH_STAMP)  ## Measure environments, explainers and trainer beside VMAS, MPE2, PyG and BenchMARL
 	$(BIN)/python -m pytest --benchmark-only tests/benchmarks
 
 wheel-test: $(STAMP)  ## Build the wheel and try it in a clean environment outside the repository

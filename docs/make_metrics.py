@@ -141,10 +141,9 @@ def _number(value: float | None) -> float:
 
 def main() -> None:
     measured: dict[str, list[dict[str, Row]]] = {task: [] for task in TASKS}
-    cards = {name: load_card(folder) for name, folder in find_policies().items()}
-    for best in default_policies(cards.values()):
-        folder = find_policies()[best.name]
-        task, means = measure(folder)
+    folders = find_policies()
+    for best in default_policies(load_card(folder) for folder in folders.values()):
+        task, means = measure(folders[best.name])
         measured[task].append(means)
     draw(measured, HERE / "metrics.png")
     page = HERE / "metrics.md"

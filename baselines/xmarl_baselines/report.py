@@ -81,8 +81,12 @@ def cell_rows(cards: list[PolicyCard]) -> list[Row]:
     return rows
 
 
+def measured_rows(cards: list[PolicyCard]) -> list[Row]:
+    return performance_rows(cards, [Performance(**card.performance) for card in cards])
+
+
 def policy_rows(cards: list[PolicyCard]) -> list[Row]:
-    rows = performance_rows(cards, [Performance(**card.performance) for card in cards])
+    rows = measured_rows(cards)
     for row, card in zip(rows, cards, strict=True):
         row["frames (M)"] = f"{card.training['frames'] / 1e6:.1f}"
         row["minutes"] = f"{card.training['seconds'] / 60:.0f}"
@@ -134,9 +138,8 @@ def zero_shot_rows() -> list[Row]:
 def tables() -> dict[str, str]:
     """The tables of the READMEs, by the name in the markers around them."""
     cards = shipped_cards()
-    best = default_policies(cards)
     return {
-        "defaults": markdown(performance_rows(best, [Performance(**card.performance) for card in best])),
+        "defaults": markdown(measured_rows(default_policies(cards))),
         "cells": markdown(cell_rows(cards)),
         "policies": markdown(policy_rows(cards)),
         "controls": markdown(control_rows()),

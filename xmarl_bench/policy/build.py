@@ -10,6 +10,7 @@ from xmarl_bench.policy.architecture import Architecture, LayeredArchitecture
 from xmarl_bench.policy.layers import LayeredNetwork
 from xmarl_bench.policy.module import ModulePolicy
 from xmarl_bench.policy.network import GraphPolicy
+from xmarl_bench.policy.untrusted import misfit
 
 MAX_PARAMETERS = 16 * 1024 * 1024  # 64 MB of float32
 LAYER = "layers.0."  # of the network that `GraphPolicy` calls `gat.`
@@ -85,15 +86,6 @@ def _check_shapes(expected: dict[str, tuple[int, ...]], weights: dict[str, Tenso
     problem = misfit(expected, {name: tuple(tensor.shape) for name, tensor in weights.items()})
     if problem is not None:
         raise InputError(f"the weights do not fit the architecture: {problem}.")
-
-
-def misfit(expected: dict[str, tuple[int, ...]], received: dict[str, tuple[int, ...]]) -> str | None:
-    """The first tensor whose shape is another, is missing or is too much, as a clause; None where all fit."""
-    for name in sorted(expected.keys() | received.keys()):
-        if expected.get(name) != received.get(name):
-            shape = str(received.get(name))[:80]
-            return f"tensor {name[:80]!r} has shape {shape}, expected {expected.get(name)}"
-    return None
 
 
 def _as_gat(name: str) -> str:

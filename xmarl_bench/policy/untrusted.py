@@ -1,6 +1,6 @@
 """Reads the files of a policy that may be hostile: bytes in bounded memory, and what they claim to hold.
 
-Nothing is unpacked to disk, no link is followed out of the folder, nothing is unpickled.
+Nothing is unpacked to disk, no link is followed out of the folder, nothing is unpickled. No torch is needed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.build import misfit
 from xmarl_bench.strict_json import parse_json, shown
 
 WEIGHTS, CARD = "policy.safetensors", "policy.json"
@@ -128,6 +127,15 @@ def check_weights(data: bytes, expected: Mapping[str, tuple[int, ...]], where: s
             f"{where} cannot be read as safetensors (it holds {len(data) - 8 - length} bytes of tensors and "
             f"claims {position}): save it again."
         )
+
+
+def misfit(expected: dict[str, tuple[int, ...]], received: dict[str, tuple[int, ...]]) -> str | None:
+    """The first tensor whose shape is another, is missing or is too much, as a clause; None where all fit."""
+    for name in sorted(expected.keys() | received.keys()):
+        if expected.get(name) != received.get(name):
+            shape = str(received.get(name))[:80]
+            return f"tensor {name[:80]!r} has shape {shape}, expected {expected.get(name)}"
+    return None
 
 
 def _claimed_shape(name: str, claim: Any, where: str) -> tuple[int, ...]:

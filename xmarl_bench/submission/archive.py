@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS
 from xmarl_bench.strict_json import MAX_BYTES as MAX_JSON
 from xmarl_bench.strict_json import shown
 
@@ -29,8 +30,8 @@ KINDS: dict[str, tuple[re.Pattern[str], int]] = {
     "readme": (re.compile(r"README\.md"), 256 * 1024),
     "entry": (re.compile(r"entries/[a-z0-9][a-z0-9._-]{0,250}\.json"), MAX_JSON),
     "rows": (re.compile(r"rows/[a-z0-9][a-z0-9._-]{0,250}\.csv"), MAX_JSON),
-    "card": (re.compile(rf"policies/{_NAME}/policy\.json"), 1024 * 1024),
-    "weights": (re.compile(rf"policies/{_NAME}/policy\.safetensors"), 68 * 1024 * 1024),
+    "card": (re.compile(rf"policies/{_NAME}/{re.escape(CARD)}"), MAX_BYTES[CARD]),
+    "weights": (re.compile(rf"policies/{_NAME}/{re.escape(WEIGHTS)}"), MAX_BYTES[WEIGHTS]),
 }
 MAX_FILES, MAX_TOTAL = 1000, 128 * 1024 * 1024
 MAX_ZIP, MAX_DIRECTORY = 128 * 1024 * 1024, 256 * 1024

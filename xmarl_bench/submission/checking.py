@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from xmarl_bench.entry import Entry, PolicyRecord, Verification, parse_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import write_atomically
+from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 from xmarl_bench.strict_json import MAX_BYTES, parse_json, shown
 from xmarl_bench.submission.archive import MANIFEST, kind_of, read_files
 from xmarl_bench.submission.consistency import entry_findings
@@ -24,7 +25,7 @@ from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
 from xmarl_bench.submission.recompute import recompute_findings
 
 if TYPE_CHECKING:
-    from xmarl_bench.policy import PolicyCard
+    from xmarl_bench.policy import Policy, PolicyCard
 
 MAX_FINDINGS = 20  # of one file: the first ones say enough
 
@@ -41,6 +42,18 @@ class Checked:
     @property
     def is_bundle(self) -> bool:
         return self.path.suffix == ".zip" or (self.path / MANIFEST).is_file()
+
+    def load_policy(self, name: str) -> tuple[Policy, PolicyCard]:
+        """A policy of the bundle. Raises InputError where it cannot be loaded; this waits for torch."""
+        from xmarl_bench.policy import load_policy
+
+        with tempfile.TemporaryDirectory() as folder:
+            for file, data in zip((CARD, WEIGHTS), self.policies[name], strict=True):
+                write_atomically(Path(folder) / file, data)
+            try:
+                return load_policy(Path(folder))
+            except InputError as error:
+                raise InputError(str(error).replace(folder + "/", "")) from None
 
 
 def check(path: Path) -> Checked:
@@ -109,7 +122,7 @@ def _check_bundle(checked: Checked) -> None:
         checked.findings.append("LICENSE: it is missing: say under which terms others may use this.")
     for name, card in files.items():
         if kind_of(name) == "card":
-            weights = files.get(name.replace("policy.json", "policy.safetensors"))
+            weights = files.get(name.replace(CARD, WEIGHTS))
             if weights is not None:
                 checked.policies[name.split("/")[1]] = card, weights
     for name, data in files.items():
@@ -156,16 +169,11 @@ def _manifest_findings(files: dict[str, bytes]) -> Iterator[str]:
 
 def _policy_findings(checked: Checked, name: str) -> Iterator[str]:
     """Can the policy be loaded, and is it the one that the entries are of?"""
-    from xmarl_bench.policy import load_policy
-
-    with tempfile.TemporaryDirectory() as folder:
-        for file, data in zip(("policy.json", "policy.safetensors"), checked.policies[name], strict=True):
-            write_atomically(Path(folder) / file, data)
-        try:
-            _, loaded = load_policy(Path(folder))
-        except InputError as error:
-            yield str(error).replace(folder + "/", "")
-            return
+    try:
+        _, loaded = checked.load_policy(name)
+    except InputError as error:
+        yield str(error)
+        return
     for file, entry in checked.entries.items():
         if entry.policy.name == name:  # the folder's, as cards may say another
             yield from _record_findings(entry, file, loaded)

@@ -5,7 +5,6 @@ The verdict never touches a measured value: the block is no part of the entry's 
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -19,9 +18,7 @@ from xmarl_bench.controls import CONTROLS
 from xmarl_bench.entry import Entry, ExplainerRecord, Verification
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
-from xmarl_bench.files import write_atomically
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
-from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 from xmarl_bench.provenance import now, package_version
 from xmarl_bench.registry import EXPLAINERS, FoundExplainer, find_explainer, find_policy
 from xmarl_bench.scoring import explainer_record
@@ -154,13 +151,7 @@ def _largest(differences: list[Difference]) -> float | None:
 def _policy(checked: Checked, entry: Entry) -> tuple[Policy, PolicyCard]:
     """That of the bundle, or the installed one of that name."""
     name = entry.policy.name
-    if name not in checked.policies:
-        return load_policy(find_policy(name))
-    card, weights = checked.policies[name]
-    with tempfile.TemporaryDirectory() as folder:
-        for file, data in ((CARD, card), (WEIGHTS, weights)):
-            write_atomically(Path(folder) / file, data)
-        return load_policy(Path(folder))
+    return checked.load_policy(name) if name in checked.policies else load_policy(find_policy(name))
 
 
 def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[FoundExplainer, list[str]]:

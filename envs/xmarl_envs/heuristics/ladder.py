@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from xmarl_envs.blind_passage_v0 import BlindPassage
-from xmarl_envs.heuristics.steering import force, towards
+from xmarl_envs.heuristics.steering import at_most, force, partners, towards
 from xmarl_envs.task import Bools, Floats, State
 
 SPEED = 0.24  # m/s, of 0.26 that full force reaches
@@ -49,8 +49,9 @@ def ladder(task: BlindPassage, state: State) -> Floats:
     align = np.where(inside, np.clip(CENTRE * aside, -SPEED, SPEED), align)
     wanted = np.stack([align, climb], axis=-1)
     wanted += np.where(inside[..., None], 0.0, SPEED * _push(state.position, beyond))
-    wanted *= np.minimum(1.0, SPEED / np.maximum(np.sqrt((wanted**2).sum(axis=-1, keepdims=True)), 1e-9))
-    wanted = np.where(beyond[..., None], towards(state.position, state.targets, SPEED), wanted)
+    wanted = np.where(
+        beyond[..., None], towards(state.position, state.targets, SPEED), at_most(wanted, SPEED)
+    )
     return force(task, wanted, state.velocity)
 
 
@@ -89,10 +90,7 @@ def _may_align(position: Floats, first: Floats, beyond: Bools) -> Floats:
 
 def _push(position: Floats, beyond: Bools) -> Floats:
     """(B, N, 2): away from partners nearer than KEEP_OFF, before the wall, in units of SPEED."""
-    apart = position[:, :, None] - position[:, None, :]
-    length = np.sqrt((apart * apart).sum(axis=-1))
-    agent = np.arange(position.shape[1])
-    length[:, agent, agent] = KEEP_OFF  # nobody pushes itself
+    apart, length = partners(position, itself=KEEP_OFF)  # nobody pushes itself
     both = ~(beyond[:, :, None] | beyond[:, None, :])
     strength = np.where(both, np.clip((KEEP_OFF - length) / CROWDED, 0.0, 1.3), 0.0)
     return np.asarray(((strength / np.maximum(length, 1e-9))[..., None] * apart).sum(axis=2))

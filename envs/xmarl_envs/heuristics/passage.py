@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from xmarl_envs.blind_passage_v0 import BlindPassage
-from xmarl_envs.heuristics.steering import force, give_way, towards
+from xmarl_envs.heuristics.steering import at_most, force, give_way, towards
 from xmarl_envs.task import Floats, State, distance
 
 SPEED = 0.26  # m/s, about what full force reaches
@@ -29,8 +29,7 @@ def queue(task: BlindPassage, state: State) -> Floats:
     highest = np.where(aside > 0, -WAITING_LINE - SLOPE * aside, np.inf)
     rise = np.clip(2.0 * (np.minimum(highest, 1.0) - y), -SPEED, SPEED)
     climb = np.where(inside, SPEED, rise)
-    approach = np.stack([np.clip(2.5 * x, -SPEED, SPEED), climb], axis=-1)
-    approach *= np.minimum(1.0, SPEED / np.maximum(np.sqrt((approach**2).sum(-1, keepdims=True)), 1e-9))
+    approach = at_most(np.stack([np.clip(2.5 * x, -SPEED, SPEED), climb], axis=-1), SPEED)
     wanted = np.where(beyond[..., None], towards(state.position, state.targets, SPEED), approach)
     # Who is through goes first (the nearer to its goal, the sooner), then who is in the gap, then the queue.
     left = distance(state.position, state.targets)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from xmarl_envs.task import Floats, Task
+from xmarl_envs.task import Floats, Task, distance
 from xmarl_envs.world import TIME_STEP, VELOCITY_KEPT
 
 REACTION = 1.0  # 1/s; how fast a gap to somebody who goes first may be used up
@@ -24,6 +24,23 @@ def towards(position: Floats, target: Floats, speed: float, gain: float = 2.0) -
     """(..., 2) wanted velocity in m/s: straight to the target, slower from speed / gain metres on."""
     to = target - position
     return np.asarray(unit(to) * np.minimum(gain * _length(to), speed))
+
+
+def at_most(velocity: Floats, speed: float) -> Floats:
+    """(..., 2) m/s: in the same direction, no faster than `speed`."""
+    return np.asarray(velocity * np.minimum(1.0, speed / np.maximum(_length(velocity), 1e-9)))
+
+
+def partners(position: Floats, itself: float) -> tuple[Floats, Floats]:
+    """(B, N, 2) m -> ways from j to i at [b, i, j], (B, N, N, 2), and their lengths, (B, N, N).
+
+    itself: the length that is put where i is j.
+    """
+    apart = position[:, :, None] - position[:, None, :]
+    length = distance(position[:, :, None], position[:, None, :])
+    agent = np.arange(position.shape[1])
+    length[:, agent, agent] = itself
+    return apart, length
 
 
 def force(task: Task, wanted: Floats, velocity: Floats) -> Floats:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from xmarl_envs.blind_navigation_v0 import BlindNavigation
-from xmarl_envs.heuristics.steering import force, towards
+from xmarl_envs.heuristics.steering import at_most, force, partners, towards
 from xmarl_envs.task import Floats, State
 
 SPEED = 0.25  # m/s, of 0.37 that full force reaches
@@ -27,17 +27,12 @@ AWAY, ASIDE = 1.5, 0.9  # of SPEED: the push straight away from a partner, and c
 def wide_berth(task: BlindNavigation, state: State) -> Floats:
     """(B, N, 2) actions in [-1, 1]."""
     wanted = towards(state.position, state.targets, SPEED, GOAL_GAIN) + SPEED * push(state.position)
-    speed = np.sqrt((wanted * wanted).sum(axis=-1, keepdims=True))
-    wanted *= np.minimum(1.0, SPEED / np.maximum(speed, 1e-9))
-    return force(task, wanted, state.velocity)
+    return force(task, at_most(wanted, SPEED), state.velocity)
 
 
 def push(position: Floats) -> Floats:
     """(B, N, 2) m -> (B, N, 2): what partners nearer than SIGHT do to each agent, in units of SPEED."""
-    apart = position[:, :, None] - position[:, None, :]  # [b, i, j]: from j to i
-    length = np.sqrt((apart * apart).sum(axis=-1))
-    agent = np.arange(position.shape[1])
-    length[:, agent, agent] = SIGHT  # nobody pushes itself
+    apart, length = partners(position, itself=SIGHT)  # nobody pushes itself
     away = apart / np.maximum(length, 1e-9)[..., None]
     clockwise = np.stack([away[..., 1], -away[..., 0]], axis=-1)
     strength = np.maximum(SIGHT - length, 0.0) / (SIGHT - NEAR)

@@ -12,12 +12,17 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from xmarl_bench.policy import GraphPolicy
 
 DIAGONAL = math.sqrt(0.5)
-DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (DIAGONAL, DIAGONAL), (DIAGONAL, -DIAGONAL))  # of position space
+# Of position space, each followed by its opposite.
+DIRECTIONS = tuple(
+    (sign * x, sign * y)
+    for x, y in ((1.0, 0.0), (0.0, 1.0), (DIAGONAL, DIAGONAL), (DIAGONAL, -DIAGONAL))
+    for sign in (1.0, -1.0)
+)
 OFFSET = 4.0  # m; positions plus this are positive, which relu leaves as they are
 
 
@@ -30,11 +35,9 @@ def attend_by_distance(policy: GraphPolicy, sharpness: float) -> None:
     """
     _pass_position_on(policy)
     gat = policy.gat
-    rows = torch.zeros(2 * len(DIRECTIONS), gat.in_channels)
-    rows[:, :2] = Tensor([sign * x for direction in DIRECTIONS for sign in (1, -1) for x in direction]).view(
-        -1, 2
-    )
-    n = len(rows)
+    n = len(DIRECTIONS)
+    rows = torch.zeros(n, gat.in_channels)
+    rows[:, :2] = torch.tensor(DIRECTIONS)
     gat.lin_l.weight[:n], gat.lin_r.weight[:n] = rows, -rows
     gat.lin_l.bias[:n] = gat.lin_r.bias[:n] = 0.0
     gat.att[..., :n] = -sharpness

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, cast
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from xmarl_envs import BlindNavigation, BlindPassage, State, Task, VectorEnv
+from xmarl_envs import State, Task, VectorEnv
 from xmarl_envs.heuristics import heuristic
 from xmarl_envs.heuristics.ladder import ladder
 from xmarl_envs.heuristics.wide_berth import wide_berth
@@ -27,6 +27,12 @@ from xmarl_baselines.team_vec_env import training_seeds
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy
 
+# The task's own heuristic, or the smooth one that was made to be imitated: navigation's, passage's.
+TEACHERS: dict[str, Callable[[Any, State], Floats]] = {
+    "heuristic": heuristic,
+    "wide_berth": wide_berth,
+    "ladder": ladder,
+}
 ROUND = 25  # team-steps of every team between two rounds of gradient steps
 
 
@@ -35,8 +41,7 @@ class Imitation:
     """How long and how. A round is ROUND steps of `n_envs` teams, then `updates` gradient steps."""
 
     rounds: int
-    # The task's own, or the smooth one that was made to be imitated: navigation's, passage's.
-    teacher: Literal["heuristic", "wide_berth", "ladder"] = "heuristic"
+    teacher: str = "heuristic"  # of TEACHERS
     n_envs: int = 200
     updates: int = 20
     batch_size: int = 1000  # team-steps
@@ -51,8 +56,9 @@ class Imitation:
     scale: float = 0.3  # of the actor's action distribution at the end: how much it explores afterwards
 
     def __post_init__(self) -> None:
-        if self.teacher not in ("heuristic", "wide_berth", "ladder"):
-            raise InputError(f"teacher must be heuristic, wide_berth or ladder, got {self.teacher!r}.")
+        if self.teacher not in TEACHERS:
+            *names, last = TEACHERS
+            raise InputError(f"teacher must be {', '.join(names)} or {last}, got {self.teacher!r}.")
 
     @property
     def frames(self) -> int:
@@ -65,11 +71,7 @@ class Imitation:
 
     def shows(self, task: Task, state: State) -> Floats:
         """(B, N, 2) actions in [-1, 1] to be imitated."""
-        if self.teacher == "wide_berth":
-            return wide_berth(cast(BlindNavigation, task), state)
-        if self.teacher == "ladder":
-            return ladder(cast(BlindPassage, task), state)
-        return heuristic(task, state)
+        return TEACHERS[self.teacher](task, state)
 
 
 def imitate(

@@ -51,8 +51,7 @@ def code_places(policy: GraphPolicy, sharpness: float) -> None:
     """
     code = _units_for(policy)
     n = len(code.units)
-    directions = torch.tensor([(sign * x, sign * y) for x, y in DIRECTIONS for sign in (1.0, -1.0)])
-    told = directions @ code.place  # (channels, units): place along DIRECTIONS, forwards and backwards
+    told = torch.tensor(DIRECTIONS) @ code.place  # (channels, units): place along DIRECTIONS
     if code.order is not None:
         told = torch.cat([told, code.order[None], -code.order[None]])
     attended, bias, score = _attention(code, told, sharpness)
@@ -69,7 +68,7 @@ def code_places(policy: GraphPolicy, sharpness: float) -> None:
     gat.lin_r.weight[linear:] *= QUIET[1]
     gat.att[..., linear:] *= QUIET[0]
     gat.att[..., :linear] = 0.0
-    rows = slice(0, len(directions)) if attended is None else slice(len(told), linear)
+    rows = slice(0, len(DIRECTIONS)) if attended is None else slice(len(told), linear)
     if attended is not None:
         gat.lin_l.weight[rows, :n] = attended
     gat.lin_r.weight[rows] = -gat.lin_l.weight[rows]
@@ -89,7 +88,7 @@ def code_places(policy: GraphPolicy, sharpness: float) -> None:
         gains[ORDER_TOLD // 2 :] *= -1.0
         in_order = slice(TOLD_APART, TOLD_APART + ORDER_TOLD)
         decoder.weight[in_order] = _difference(
-            gains[:, None], [len(directions)], code.order[None], linear, gat.out_channels
+            gains[:, None], [len(DIRECTIONS)], code.order[None], linear, gat.out_channels
         )
         decoder.bias[in_order] = torch.linspace(-1.0, 1.0, ORDER_TOLD)
 
@@ -104,7 +103,7 @@ def _attention(
     0 make steps to either side of 0, which end at -d and d.
     """
     if code.order is None:
-        return None, 0.0, torch.full((2 * len(DIRECTIONS),), -sharpness / LINEAR)
+        return None, 0.0, torch.full((len(DIRECTIONS),), -sharpness / LINEAR)
     x, y = code.place
     rows = torch.stack([x, -x, y, -y, code.order, code.order, code.order])
     bias = torch.tensor([-LEVEL] * 4 + [DECIDED, 0.0, -DECIDED])

@@ -26,7 +26,7 @@ from stable_baselines3.common.logger import configure
 from xmarl_envs import make_task
 
 from xmarl_baselines.distance_attention import attend_by_distance
-from xmarl_baselines.imitation import imitate
+from xmarl_baselines.imitation import Imitation, imitate
 from xmarl_baselines.mappo import MAPPO
 from xmarl_baselines.model_selection import ModelSelection, Record
 from xmarl_baselines.place_code import code_places
@@ -131,22 +131,22 @@ def train(
         warm_start=run.recipe.imitation is not None or start_from is not None,
     )
     keeper = _Keeper(folder, checkpoint_every, seconds, report)
-    if not run.recipe.frames and done is None:
-        _imitate_alone(model, run, folder, selection, report)
-        keeper.init_callback(model)
-        keeper.save()
-        seconds = keeper.seconds
-    elif run.recipe.imitation is not None and done is None and start_from is None:
+    alone = not run.recipe.frames
+    if run.recipe.imitation is not None and done is None and (alone or start_from is None):
+        after_round = None if report is None else lambda _, log: report(0, log)
+        if alone:
+            after_round = _looks_along(run.recipe.imitation, model, folder, selection, report)
         imitate(
             model.policy.actor,
             make_task(run.recipe.task, run.n_agents),
             run.recipe.imitation,
             seed=run.seed,
             attention_entropy=run.attention_entropy,
-            report=None if report is None else lambda _, log: report(0, log),
+            report=after_round,
         )
         keeper.init_callback(model)
         keeper.save()
+        seconds = keeper.seconds
     if frames < run.recipe.frames:
         model.learn(
             run.recipe.frames - frames,
@@ -163,12 +163,10 @@ def train(
     return Trained(policy, seconds, validation, selection.curve())
 
 
-def _imitate_alone(
-    model: MAPPO, run: Run, folder: Path, selection: ModelSelection, report: Report | None
-) -> None:
-    """Imitation as the whole of training, with validations along it."""
-    how = run.recipe.imitation
-    assert how is not None
+def _looks_along(
+    how: Imitation, model: MAPPO, folder: Path, selection: ModelSelection, report: Report | None
+) -> Report:
+    """What `imitate` reports each round to, where it is the whole of training: logs, validates now and then."""
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     selection.init_callback(model)
     every = max(1, how.rounds // IMITATION_VALIDATIONS)
@@ -183,14 +181,7 @@ def _imitate_alone(
             selection.validate()
         model.logger.dump(model.num_timesteps)
 
-    imitate(
-        model.policy.actor,
-        make_task(run.recipe.task, run.n_agents),
-        how,
-        seed=run.seed,
-        attention_entropy=run.attention_entropy,
-        report=after_round,
-    )
+    return after_round
 
 
 def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:

@@ -185,7 +185,7 @@ def test_the_teacher_is_chosen() -> None:
     assert np.array_equal(smooth.shows(task, env.state), wide_berth(task, env.state))  # type: ignore[arg-type]
     assert np.array_equal(own.shows(task, env.state), heuristic(task, env.state))
     with pytest.raises(InputError, match="teacher must be"):
-        replace(TINY, teacher="nobody")  # type: ignore[arg-type]
+        replace(TINY, teacher="nobody")
 
 
 def test_the_ladder_teaches_passage() -> None:

@@ -22,7 +22,7 @@ from xmarl_bench.strict_json import MAX_BYTES, parse_json, shown
 from xmarl_bench.submission.archive import MANIFEST, kind_of, read_files
 from xmarl_bench.submission.consistency import entry_findings
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
-from xmarl_bench.submission.recompute import recompute_findings
+from xmarl_bench.submission.recompute import Difference, recompute_findings, recomputed
 
 if TYPE_CHECKING:
     from xmarl_bench.policy import Policy, PolicyCard
@@ -37,6 +37,7 @@ class Checked:
     path: Path
     entries: dict[str, Entry] = field(default_factory=dict)  # by file name
     policies: dict[str, tuple[bytes, bytes]] = field(default_factory=dict)  # by name: card, weights
+    recomputed: dict[str, list[Difference]] = field(default_factory=dict)  # by file name, where all is well
     findings: list[str] = field(default_factory=list)
 
     @property
@@ -77,7 +78,8 @@ def check(path: Path) -> Checked:
         raise InputError(f"{path} cannot be read ({error.strerror}).") from None
     if not checked.findings:  # what costs the most is asked last, of rows that are rows
         for file, entry in checked.entries.items():
-            _add(checked, file, recompute_findings(entry))
+            checked.recomputed[file] = list(recomputed(entry))
+            _add(checked, file, recompute_findings(checked.recomputed[file]))
     if not checked.findings:  # and only now is torch waited for
         for policy in checked.policies:
             _add(checked, f"policies/{policy}", _policy_findings(checked, policy))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from xmarl_bench.entry import Entry, Metrics, Summary
@@ -35,9 +35,9 @@ def recomputed(entry: Entry) -> Iterator[Difference]:
             )
 
 
-def recompute_findings(entry: Entry) -> Iterator[str]:
-    """Sentences, none where the aggregates follow from the rows but for rounding."""
-    for where, stated, found in recomputed(entry):
+def recompute_findings(differences: Iterable[Difference]) -> Iterator[str]:
+    """Sentences on what is `recomputed`, none where the aggregates follow from the rows but for rounding."""
+    for where, stated, found in differences:
         same = stated is found or (stated is not None and found is not None and close(stated, found))
         if not same:
             yield f"{where} is {stated}, the rows give {found}."

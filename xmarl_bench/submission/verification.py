@@ -26,7 +26,7 @@ from xmarl_bench.strict_json import shown
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
 from xmarl_bench.submission.consistency import CLOSE
 from xmarl_bench.submission.limits import Limits
-from xmarl_bench.submission.recompute import Difference, recomputed
+from xmarl_bench.submission.recompute import Difference
 from xmarl_bench.submission.rerun import record_findings, rerun
 from xmarl_bench.submission.sandbox import Sandbox
 from xmarl_bench.submission.tolerance import AGGREGATES, Platform, agrees, disagreeing, is_same_platform
@@ -115,7 +115,7 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
     entry = checked.entries[file]
     bitwise = is_same_platform(entry)
     if options.tier is Tier.recompute:
-        differences = list(recomputed(entry))
+        differences = checked.recomputed[file]
         tolerance = None if bitwise else CLOSE
         apart = [each for each in differences if not agrees(each, tolerance)]
         return Verdict(entry, options.tier, bitwise, 0, _largest(differences), _said(apart, "rows give"))

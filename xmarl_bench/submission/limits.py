@@ -60,9 +60,9 @@ class Limits:
 @cache
 def strongest() -> Wall:
     """The strongest wall that works here: a container often forbids what is installed in it."""
-    trials: tuple[tuple[Wall, list[str]], ...] = (("bubblewrap", walled("bubblewrap", ["true"], ())),
-                                                  ("unshare", walled("unshare", ["true"], ())))  # fmt: skip
-    for wall, command in trials:
+    walls: tuple[Wall, ...] = ("bubblewrap", "unshare")
+    for wall in walls:
+        command = walled(wall, ["true"], ())
         if shutil.which(command[0]) is None:
             continue
         try:

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -25,6 +26,7 @@ import torch
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.explainer import Explain
 from xmarl_bench.policy import Policy
 from xmarl_bench.strict_json import shown
 from xmarl_bench.submission.limits import Limits, Wall, environment, python_folders, strongest, walled
@@ -46,7 +48,7 @@ class Sandbox:
     process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> dict[str, Any]:
-        """What the explainer says of itself: the fields of `ExplainerRecord` and `fits`.
+        """What the explainer says of itself: the fields of `ExplainerRecord`.
 
         Raises InputError where it cannot be loaded.
         """
@@ -65,15 +67,24 @@ class Sandbox:
         )
         return self._receive()[0]
 
-    def explain(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-        """(S, N, D) -> (S, N, N), not checked yet: `run_explainer` does that, as with any other."""
-        mask: Tensor = self._ask("explain", policy, observations, generator)
-        return mask
+    def explain(
+        self, policy: Policy, observations: Tensor, generator: torch.Generator, *, fitted: str | None = None
+    ) -> Tensor:
+        """(S, N, D) -> (S, N, N), not checked yet: `run_explainer` does that, as with any other.
 
-    def fit(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Fitted:
+        fitted: the key of what `fit` left in the process, to explain instead.
+        """
+        header, payload = self._ask("explain", policy, observations, generator, fitted)
+        shape = header.get("shape")
+        n_steps, n_agents, _ = observations.shape
+        if shape != [n_steps, n_agents, n_agents] or len(payload) != 4 * n_steps * n_agents**2:
+            raise InputError(f"explainer {shown(self.explainer)} answered with no mask: correct it.")
+        return torch.tensor(np.frombuffer(payload, dtype="<f4").reshape(shape))
+
+    def fit(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Explain:
         """(S, N, D) states to be fitted on -> the explainer of this policy, as it stays in the process."""
-        key = str(self._ask("fit", policy, observations, generator, masks=False))
-        return Fitted(self, key)
+        header, _ = self._ask("fit", policy, observations, generator, None)
+        return partial(self.explain, fitted=str(header.get("key")))
 
     def close(self) -> None:
         """End the process, and whatever it started in its session."""
@@ -99,10 +110,8 @@ class Sandbox:
         policy: Policy,
         observations: Tensor,
         generator: torch.Generator,
-        *,
-        fitted: str | None = None,
-        masks: bool = True,
-    ) -> Any:
+        fitted: str | None,
+    ) -> tuple[dict[str, Any], bytes]:
         """Send one question and wait for its answer. The generator is told by its seed: it is a new one."""
         question = (what, policy, observations.numpy(), generator.initial_seed(), fitted)
         data = pickle.dumps(question)
@@ -112,14 +121,7 @@ class Sandbox:
             stdin.flush()
         except OSError:
             raise self._ended() from None
-        header, payload = self._receive()
-        if not masks:
-            return header.get("key")
-        shape = header.get("shape")
-        n_steps, n_agents, _ = observations.shape
-        if shape != [n_steps, n_agents, n_agents] or len(payload) != 4 * n_steps * n_agents**2:
-            raise InputError(f"explainer {shown(self.explainer)} answered with no mask: correct it.")
-        return torch.tensor(np.frombuffer(payload, dtype="<f4").reshape(shape))
+        return self._receive()
 
     def _receive(self) -> tuple[dict[str, Any], bytes]:
         deadline = time.monotonic() + self.limits.answer_seconds
@@ -172,16 +174,3 @@ class Sandbox:
             f"{self.limits.memory_bytes / 2**30:g} GiB or {self.limits.cpu_seconds} s: give it more, or "
             f"leave it out."
         )
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """An explainer that was fitted in the sandbox, by the key it has there."""
-
-    sandbox: Sandbox
-    key: str
-
-    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-        """(S, N, D) -> (S, N, N)."""
-        mask: Tensor = self.sandbox._ask("explain", policy, observations, generator, fitted=self.key)
-        return mask

@@ -16,7 +16,6 @@ from pydantic import TypeAdapter, ValidationError
 from xmarl_envs import TASKS
 
 from xmarl_bench.entry import (
-    BehaviourMetrics,
     BudgetRow,
     CellResult,
     ControlMetrics,
@@ -29,9 +28,8 @@ from xmarl_bench.metrics.budgeted_fidelity import budgeted_fidelity
 from xmarl_bench.protocol import DEFINITIONS, SANITY_EPISODES
 from xmarl_bench.reproducible import episode_seeds
 from xmarl_bench.strict_json import shown
-from xmarl_bench.summary import SANITY
+from xmarl_bench.summary import BEHAVIOUR, SANITY
 
-BEHAVIOUR = tuple(BehaviourMetrics.model_fields)
 # The controls, as xmarl_bench.controls names them: that module waits for torch, these checks do not.
 RANDOM, INVERTED, ORACLE = "random", "inverted", "oracle"
 FLOORS = {"all-ones", "zeros", RANDOM, "bernoulli", "self", INVERTED}

@@ -14,7 +14,7 @@ from itertools import zip_longest
 import numpy as np
 
 from xmarl_bench.cell_result import episode_row
-from xmarl_bench.entry import BehaviourMetrics, BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
+from xmarl_bench.entry import BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
 from xmarl_bench.fitting import fitted
 from xmarl_bench.measure import Explained, Unit
 from xmarl_bench.policy import Policy, PolicyCard
@@ -24,8 +24,8 @@ from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.rollout import Rollout
 from xmarl_bench.scoring import score_requests
 from xmarl_bench.submission.recompute import Difference, summaries
+from xmarl_bench.summary import BEHAVIOUR
 
-BEHAVIOUR = tuple(BehaviourMetrics.model_fields)
 # What an explainer's record may say otherwise and still be the same: where it was found, not what it is.
 WHERE = ("seed", "code", "distribution", "version", "entry_point", "code_sha256")
 

@@ -185,13 +185,21 @@ FIDELITY_MARGIN = 0.02
 RATE_MARGIN = 0.05  # of a success or collision rate
 
 
-def beats(
-    better: str, worse: str, metric: str, *, regularised: bool | None = None, more: int | None = None
-) -> Contrast:
+def beats(better: str, worse: str, metric: str, *, regularised: bool | None = None) -> Contrast:
     """One explainer above another on the same policies."""
-    return Contrast(
-        metric, Side(Term(better, regularised, more=more)), Side(Term(worse, regularised, more=more))
-    )
+    return Contrast(metric, Side(Term(better, regularised)), Side(Term(worse, regularised)))
+
+
+def best(explainer: str, metric: str, *, regularised: bool | None = None) -> tuple[Contrast, ...]:
+    """One of the paper's explainers above the other two on the same policies."""
+    others = [other for other in PAPER_EXPLAINERS if other != explainer]
+    return tuple(beats(explainer, other, metric, regularised=regularised) for other in others)
+
+
+def worst(explainer: str, metric: str, *, regularised: bool | None = None) -> tuple[Contrast, ...]:
+    """The other two of the paper's explainers above one on the same policies."""
+    others = [other for other in PAPER_EXPLAINERS if other != explainer]
+    return tuple(beats(other, explainer, metric, regularised=regularised) for other in others)
 
 
 def improves(explainer: str, metric: str) -> Contrast:

@@ -14,11 +14,13 @@ from xmarl_bench.study.claims import (
     Side,
     Term,
     beats,
+    best,
     improves,
     improves_more,
     keeps,
     unmoved,
     worsens,
+    worst,
 )
 from xmarl_bench.study.paper import NAVIGATION, ZERO_SHOT
 
@@ -91,8 +93,7 @@ ZERO_SHOT_CLAIMS: tuple[Claim, ...] = (
     zero_shot(
         "gnn-best-without", "645", FIDELITY,
         "Without the term GNNExplainer has the most FidDelta",
-        beats(GNN, ATTENTION, "fid_delta", regularised=False),
-        beats(GNN, GRAPHMASK, "fid_delta", regularised=False),
+        *best(GNN, "fid_delta", regularised=False),
     ),
     zero_shot(
         "interchangeable-with", "645", FIDELITY,
@@ -106,8 +107,7 @@ ZERO_SHOT_CLAIMS: tuple[Claim, ...] = (
     zero_shot(
         "graphmask-least-faithful", "648", FAITHFULNESS,
         "With the term GraphMask's GEF stays, on average, worse than that of the other two",
-        beats(ATTENTION, GRAPHMASK, "gef", regularised=True),
-        beats(GNN, GRAPHMASK, "gef", regularised=True),
+        *worst(GRAPHMASK, "gef", regularised=True),
     ),
     zero_shot(
         "attention-gef", "433, 648", FAITHFULNESS,
@@ -121,8 +121,7 @@ ZERO_SHOT_CLAIMS: tuple[Claim, ...] = (
     zero_shot(
         "gnn-most-faithful-without", "648", FAITHFULNESS,
         "Without the term GNNExplainer has the best GEF",
-        beats(GNN, ATTENTION, "gef", regularised=False),
-        beats(GNN, GRAPHMASK, "gef", regularised=False),
+        *best(GNN, "gef", regularised=False),
     ),
     zero_shot(
         "attention-near", "648", FAITHFULNESS,

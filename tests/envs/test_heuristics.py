@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from xmarl_envs import TASKS, State, Task, VectorEnv, make_task
@@ -11,21 +9,13 @@ from xmarl_envs.heuristics import heuristic
 from xmarl_envs.heuristics.steering import REACTION, force, give_way
 from xmarl_envs.task import Floats
 
+from tests.envs.played import Act, play
+
 EPISODES = 40
-Act = Callable[[Task, State], Floats]
 
 
 def success(task: Task, act: Act) -> float:
-    """Success rate: fraction of agents at goal when the episode ends."""
-    env = VectorEnv(task, EPISODES, copies_per_space=EPISODES)
-    env.reset(range(EPISODES))
-    live, rate = np.ones(EPISODES, dtype=bool), np.zeros(EPISODES)
-    while live.any():
-        step = env.step(act(task, env.state), live)
-        ended = live & (step.terminated | step.truncated)
-        rate[ended] = step.success[ended].mean(axis=-1)
-        live &= ~ended
-    return float(rate.mean())
+    return play(task, act, EPISODES, copies_per_space=EPISODES).success
 
 
 @pytest.mark.parametrize(

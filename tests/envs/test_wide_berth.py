@@ -6,28 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from xmarl_envs import BlindNavigation, State, VectorEnv
+from xmarl_envs import BlindNavigation, State
 from xmarl_envs.heuristics.wide_berth import ASIDE, AWAY, NEAR, SIGHT, push, wide_berth
+
+from tests.envs.played import noisy, play
 
 EPISODES = 50
 
 
 @pytest.mark.parametrize(("n_agents", "noise"), [(3, 0.0), (3, 0.15), (5, 0.0)])
 def test_it_solves_the_task_and_nobody_touches(n_agents: int, noise: float) -> None:
-    rng = np.random.default_rng(0)
-    task = BlindNavigation(n_agents)
-    env = VectorEnv(task, EPISODES)
-    env.reset(range(EPISODES))
-    live, rate, touched = np.ones(EPISODES, bool), np.zeros(EPISODES), np.zeros(EPISODES, bool)
-    while live.any():
-        action = wide_berth(task, env.state)
-        step = env.step(action + noise * rng.standard_normal(action.shape), live)
-        touched |= live & step.agent_collision.any(axis=-1)
-        ended = live & (step.terminated | step.truncated)
-        rate[ended] = step.success[ended].mean(axis=-1)
-        live &= ~ended
-    assert rate.mean() >= 0.98
-    assert touched.mean() <= 0.02
+    played = play(BlindNavigation(n_agents), noisy(wide_berth, noise), EPISODES)
+    assert played.success >= 0.98
+    assert played.touched <= 0.02
 
 
 def test_the_push_by_hand() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from xmarl_envs.task import Floats, Task, distance
+from xmarl_envs.task import Floats, Task
 from xmarl_envs.world import TIME_STEP, VELOCITY_KEPT
 
 REACTION = 1.0  # 1/s; how fast a gap to somebody who goes first may be used up
@@ -37,7 +37,7 @@ def partners(position: Floats, itself: float) -> tuple[Floats, Floats]:
     itself: the length that is put where i is j.
     """
     apart = position[:, :, None] - position[:, None, :]
-    length = distance(position[:, :, None], position[:, None, :])
+    length = _length(apart)[..., 0]
     agent = np.arange(position.shape[1])
     length[:, agent, agent] = itself
     return apart, length

@@ -166,7 +166,7 @@ def train(
 def _looks_along(
     how: Imitation, model: MAPPO, folder: Path, selection: ModelSelection, report: Report | None
 ) -> Report:
-    """What `imitate` reports each round to, where it is the whole of training: logs, validates now and then."""
+    """What `imitate` reports its rounds to where it is the whole of training: log, validate now and then."""
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     selection.init_callback(model)
     every = max(1, how.rounds // IMITATION_VALIDATIONS)

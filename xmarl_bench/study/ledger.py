@@ -83,21 +83,13 @@ class Judge:
 
     def judge(self, claim: Claim) -> Judged:
         compared = [[self.compare(each, (cell,)) for each in claim.contrasts] for cell in claim.cells]
-        adjusted = _adjusted([each for row in compared for each in row])
+        adjusted = iter(_adjusted([each for row in compared for each in row]))
         cells = []
         for cell, row in zip(claim.cells, compared, strict=True):
-            judged = tuple(
-                JudgedContrast(contrast, each, next_p, decide(contrast, each, next_p))
-                for contrast, each, next_p in zip(
-                    claim.contrasts, row, [adjusted.pop(0) for _ in row], strict=True
-                )
-            )
+            judged = _judged(claim.contrasts, row, [next(adjusted) for _ in row])
             cells.append(JudgedCell(cell, judged, combine([each.verdict for each in judged], claim.combine)))
         everywhere = [self.compare(each, claim.cells) for each in claim.contrasts]
-        overall = tuple(
-            JudgedContrast(contrast, each, p, decide(contrast, each, p))
-            for contrast, each, p in zip(claim.contrasts, everywhere, _adjusted(everywhere), strict=True)
-        )
+        overall = _judged(claim.contrasts, everywhere, _adjusted(everywhere))
         if claim.quantifier is Quantifier.TOGETHER:
             verdict = combine([each.verdict for each in overall], claim.combine)
         else:
@@ -189,6 +181,15 @@ def quantify(verdicts: Sequence[Verdict], quantifier: Quantifier) -> Verdict:
     else:
         yes, no = held > 0 and reverse > 0, n in (held, reverse)
     return Verdict.HELD if yes else Verdict.NOT_HELD if no else Verdict.NOT_DECIDED
+
+
+def _judged(
+    contrasts: Sequence[Contrast], compared: Sequence[Compared], adjusted: Sequence[float | None]
+) -> tuple[JudgedContrast, ...]:
+    return tuple(
+        JudgedContrast(contrast, each, p, decide(contrast, each, p))
+        for contrast, each, p in zip(contrasts, compared, adjusted, strict=True)
+    )
 
 
 def _adjusted(compared: Sequence[Compared]) -> list[float | None]:

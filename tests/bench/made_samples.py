@@ -29,7 +29,7 @@ def made_samples(
                         metric: level(cell, name, regularised, metric) + shared + own
                         for metric in ORIENTATION
                     }
-                    scored = Scored(f"{cell.label} {regularised} {seed}", "0" * 64, None, values)
+                    scored = Scored(f"{cell.label} {regularised} {seed}", values)
                     known = samples.scored.setdefault((Place.of(cell, Term(name)), name), {})
                     known[Run("a", 0.1 * regularised, seed)] = scored
     return samples

@@ -159,7 +159,7 @@ def test_exchanged_sides_turn_the_verdict_around(shift: float, seed: int) -> Non
 
 
 def scored(name: str, *values: float) -> Scored:
-    return Scored(name, "0" * 64, None, {"fid_delta": np.array(values)})
+    return Scored(name, {"fid_delta": np.array(values)})
 
 
 def test_regularised_runs_are_compared_with_their_partners() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from xmarl_bench.errors import InputError
 from xmarl_bench.study.claims import MENDED, ORIENTATION, PAPER_EXPLAINERS, Cell, Term
 from xmarl_bench.study.results import StudyData
-from xmarl_bench.study.samples import Floats, Place
+from xmarl_bench.study.samples import Floats, pooled
 from xmarl_bench.study.tables import METRIC_NAMES
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def _panel(panel: Axes, data: StudyData, cell: Cell, metric: str, explainers: Se
     empty = True
     for at, explainer in enumerate(explainers):
         for regularised, colour, offset in ((False, WITHOUT, -0.2), (True, WITH, 0.2)):
-            values = _values(data, cell, explainer, metric, regularised)
+            values = pooled(data.samples.runs(cell, Term(explainer), regularised), metric)
             if values.size:
                 empty = False
                 _violin(panel, values, at + offset, colour)
@@ -123,13 +123,6 @@ def _panel(panel: Axes, data: StudyData, cell: Cell, metric: str, explainers: Se
     panel.patch.set_alpha(0.0)
     if empty:
         panel.text(0.5, 0.5, "not measured", transform=panel.transAxes, ha="center", va="center")
-
-
-def _values(data: StudyData, cell: Cell, explainer: str, metric: str, regularised: bool) -> Floats:
-    runs = data.samples.runs(Place.of(cell, Term(explainer)), explainer, regularised)
-    values = [each.values[metric] for each in runs.values()]
-    x: Floats = np.concatenate(values) if values else np.array([])
-    return x[~np.isnan(x)]
 
 
 def _violin(panel: Axes, values: Floats, at: float, colour: str) -> None:

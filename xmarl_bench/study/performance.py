@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from xmarl_bench.study.claims import ATTENTION, Cell, Term
 from xmarl_bench.study.paper import MAIN, MEASURES, TRAINING, ZERO_SHOT, Performance
-from xmarl_bench.study.samples import Place, Samples
+from xmarl_bench.study.samples import Samples, pooled
 
 
 def reported(cell: Cell) -> Performance | None:
@@ -27,10 +25,8 @@ def performance(samples: Samples, cells: tuple[Cell, ...]) -> list[dict[str, Any
         paper = reported(cell) or {}
         for measure in MEASURES:
             for regularised in (False, True):
-                runs = samples.runs(Place.of(cell, Term(ATTENTION)), ATTENTION, regularised)
-                values = [each.values[measure] for each in runs.values()]
-                x = np.concatenate(values) if values else np.array([])
-                x = x[~np.isnan(x)]
+                runs = samples.runs(cell, Term(ATTENTION), regularised)
+                x = pooled(runs, measure)
                 theirs = paper.get(measure)
                 if theirs is None and not x.size:
                     continue

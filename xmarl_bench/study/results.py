@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from xmarl_bench.board.gate import shut_gate
 from xmarl_bench.entry import Entry
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.reproducible import derived_seed
@@ -20,7 +21,7 @@ from xmarl_bench.study.ledger import RESAMPLES, Judge, Judged, JudgedContrast, V
 from xmarl_bench.study.lenses import LENSES
 from xmarl_bench.study.performance import performance
 from xmarl_bench.study.plan import Study
-from xmarl_bench.study.samples import Place, Samples, percent_of
+from xmarl_bench.study.samples import Samples, percent_of
 
 SCHEMA = 1
 # Of the tables; the others of ORIENTATION are the policy's own.
@@ -75,7 +76,7 @@ def quality(data: StudyData) -> list[Json]:
     for cell in data.study.cells:
         for regularised in (False, True):
             for explainer in data.explainers:
-                runs = data.samples.runs(Place.of(cell, Term(explainer)), explainer, regularised)
+                runs = data.samples.runs(cell, Term(explainer), regularised)
                 for metric in QUALITY:
                     blocks = [each.values[metric] for each in runs.values()]
                     blocks = [x[~np.isnan(x)] for x in blocks]
@@ -106,8 +107,7 @@ def missing(data: StudyData) -> list[str]:
     absent = []
     for cell in data.study.cells:
         for regularised in (False, True):
-            place = Place.of(cell, Term(data.explainers[0]))
-            if not data.samples.runs(place, data.explainers[0], regularised):
+            if not data.samples.runs(cell, Term(data.explainers[0]), regularised):
                 absent.append(f"{cell.label}, {'with' if regularised else 'without'} the term")
     return absent
 
@@ -126,16 +126,11 @@ def _explainers(data: StudyData) -> Json:
 
 def _policies(data: StudyData) -> list[Json]:
     """In each cell; the gate says why the leaderboard would not rank it."""
-    gates = {
-        (scored.policy, place.more): scored.gate
-        for (place, _), runs in data.samples.scored.items()
-        for scored in runs.values()
-    }
     known: dict[tuple[str, int], Json] = {}
     for card, entry in data.pairs:
         (cell,) = entry.results
-        more = cell.n_agents - card.n_agents
-        known[card.name, more] = {
+        shut = shut_gate(cell.metrics)
+        known[card.name, cell.n_agents - card.n_agents] = {
             "name": card.name,
             "weights_sha256": card.weights_sha256,
             "task": card.task,
@@ -144,7 +139,7 @@ def _policies(data: StudyData) -> list[Json]:
             "percent": percent_of(card),
             "attention_entropy": card.attention_entropy,
             "training_seed": card.training_seed,
-            "gate": gates[card.name, more],
+            "gate": None if shut is None else f"{shut.metric} under {shut.least:g}",
         }
     return [known[key] for key in sorted(known)]
 

@@ -8,13 +8,12 @@ episode: scoring plays the same starts with every policy.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_bench.board.gate import shut_gate
 from xmarl_bench.controls import INVERTED
 from xmarl_bench.entry import Entry
 from xmarl_bench.errors import InputError
@@ -61,8 +60,6 @@ class Scored:
     """One (policy, explainer) pair in one cell."""
 
     policy: str
-    weights_sha256: str
-    gate: str | None  # why the leaderboard would not rank it
     values: dict[str, Floats]  # by metric, (E,), NaN where it is not a number or was not measured
 
 
@@ -98,12 +95,12 @@ class Samples:
         (cell,) = entry.results
         place = Place(cell.task, card.n_agents, cell.n_agents - card.n_agents, percent_of(card))
         run = run_of(card)
-        shut = shut_gate(cell.metrics)
-        why_not = None if shut is None else f"{shut.metric} under {shut.least:g}"
         rows = {
             name: np.array([_number(getattr(row, name)) for row in cell.episodes]) for name in ORIENTATION
         }
-        self._file(place, entry.explainer.name, run, Scored(card.name, card.weights_sha256, why_not, rows))
+        known = self.scored.setdefault((place, entry.explainer.name), {})
+        assert run not in known, card.name
+        known[run] = Scored(card.name, rows)
         for name, metrics in cell.controls.items():
             if name == INVERTED:
                 continue
@@ -113,16 +110,15 @@ class Samples:
                 for metric, each in summaries.items()
             }
             known = self.scored.setdefault((place, name), {})
-            known.setdefault(run, Scored(card.name, card.weights_sha256, why_not, means))
+            known.setdefault(run, Scored(card.name, means))
 
-    def _file(self, place: Place, explainer: str, run: Run, scored: Scored) -> None:
-        known = self.scored.setdefault((place, explainer), {})
-        assert run not in known, scored.policy
-        known[run] = scored
+    def of_term(self, cell: Cell, term: Term) -> dict[Run, Scored]:
+        """The runs that a term means in a cell, with and without the attention-entropy term."""
+        return self.scored.get((Place.of(cell, term), term.explainer), {})
 
-    def runs(self, place: Place, explainer: str, regularised: bool | None) -> dict[Run, Scored]:
+    def runs(self, cell: Cell, term: Term, regularised: bool | None) -> dict[Run, Scored]:
         """Those without the term, with it, or (None) all, in order of architecture, lambda and seed."""
-        every = self.scored.get((place, explainer), {})
+        every = self.of_term(cell, term)
         chosen = (run for run in every if regularised is None or (run.attention_entropy > 0) == regularised)
         return {run: every[run] for run in sorted(chosen)}
 
@@ -136,11 +132,11 @@ class Samples:
         partners = len(regularised) > 1
         lead = next((term for term in terms if _regularised(cell, term)), terms[0])
         found: tuple[Blocks, Blocks] = [], []
-        for run in self.runs(Place.of(cell, lead), lead.explainer, _regularised(cell, lead)):
+        for run in self.runs(cell, lead, _regularised(cell, lead)):
             values: dict[Term, Floats] = {}
             for term in terms:
                 its_run = run.unregularised if partners and not _regularised(cell, term) else run
-                scored = self.scored.get((Place.of(cell, term), term.explainer), {}).get(its_run)
+                scored = self.of_term(cell, term).get(its_run)
                 if scored is not None:
                     values[term] = scored.values[contrast.metric]
             if len(values) < len(set(terms)):
@@ -150,6 +146,13 @@ class Samples:
             for side, block in zip((contrast.a, contrast.b), found, strict=True):
                 block.append(_side(side, values))
         return found
+
+
+def pooled(runs: Mapping[Run, Scored], metric: str) -> Floats:
+    """The episodes of all runs, one after the other, without those where the metric is not a number."""
+    values = [each.values[metric] for each in runs.values()]
+    x: Floats = np.concatenate(values) if values else np.array([])
+    return x[~np.isnan(x)]
 
 
 def percent_of(card: PolicyCard) -> int | None:

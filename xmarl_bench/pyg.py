@@ -21,7 +21,6 @@ from torch_geometric.explain import ExplainerAlgorithm, Explanation, ModelConfig
 
 from xmarl_bench.effect import effect_direction
 from xmarl_bench.policy import Policy
-from xmarl_bench.policy.graph import complete_graph, edge_index_of
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class PygExplain:
     def _explain(self, policy: Policy, x: Tensor, seed: int) -> Tensor:
         """(N, D) observations of one timestep -> (N, N)."""
         torch.manual_seed(seed)
-        edge_index = _edges(policy, x)
+        edge_index = policy.edges(x)
         if not self.per_agent:
             return self._explanation(policy, x, edge_index, None)
         return torch.stack([self._explanation(policy, x, edge_index, i)[i] for i in range(len(x))])
@@ -106,7 +105,7 @@ class PygFit:
             algorithm, model = self.algorithm(), _private(policy)
             assert isinstance(algorithm, PGExplainer)
             _connect(model, algorithm, "node", "phenomenon")
-            graphs = [(x.clone(), _edges(policy, x)) for x in observations]
+            graphs = [(x.clone(), policy.edges(x)) for x in observations]
             targets = [model(x, edge_index).detach() for x, edge_index in graphs]
             for epoch in range(algorithm.epochs):
                 for (x, edge_index), target in zip(graphs, targets, strict=True):
@@ -128,7 +127,7 @@ class TrainedPG:
         explainer = _connect(model, copy.deepcopy(self.algorithm), "node", "phenomenon")
         masks = []
         for x in observations:
-            edge_index = _edges(policy, x)
+            edge_index = policy.edges(x)
             with torch.no_grad():
                 target = model(x, edge_index)
             rows = [_matrix(explainer(x, edge_index, target=target, index=i))[i] for i in agents]
@@ -156,12 +155,6 @@ class Copies:
             fresh.reset_parameters()
             fresh.optimizer = torch.optim.Adam(fresh.mlp.parameters(), lr=fresh.lr)
         return fresh
-
-
-def _edges(policy: Policy, x: Tensor) -> Tensor:
-    """(N, D) -> (2, edges): the policy's graph in that state, in the order of our mask."""
-    adjacency = policy.adjacency(x[None])
-    return complete_graph(len(x)) if adjacency is None else edge_index_of(adjacency)
 
 
 def _matrix(explanation: Explanation) -> Tensor:

@@ -19,8 +19,7 @@ from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_chec
 from xmarl_bench.errors import InputError
 from xmarl_bench.fitting import FIRST_FIT_SEED, fit_states
 from xmarl_bench.measure import spaced_timesteps
-from xmarl_bench.policy import ActionDistribution, Policy, complete_graph
-from xmarl_bench.policy.graph import edge_index_of
+from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell
 from xmarl_bench.rollout import Episode, play, roll_out
@@ -48,11 +47,6 @@ class PolicySubject:
         """(N, D) -> (N, A), on any edges of one team."""
         action: Tensor = self.policy(x, edge_index)
         return action
-
-    def edges(self, x: Tensor) -> Tensor:
-        """(N, D) -> (2, edges) of the policy's graph."""
-        there = self.policy.adjacency(x[None])
-        return complete_graph(len(x)) if there is None else edge_index_of(there)
 
     @property
     def rng(self) -> np.random.Generator:
@@ -113,15 +107,15 @@ def equivariance(subject: PolicySubject) -> str:
     order = subject.permutation()
     place = torch.empty_like(order)
     place[order] = torch.arange(len(order))
-    here = torch.stack([subject.act(x, subject.edges(x))[order] for x in subject.observations])
-    there = torch.stack([subject.act(x[order], place[subject.edges(x)]) for x in subject.observations])
+    here = torch.stack([subject.act(x, subject.policy.edges(x))[order] for x in subject.observations])
+    there = torch.stack([subject.act(x[order], place[subject.policy.edges(x)]) for x in subject.observations])
     return _close(there, here, "agents in another order act in another way")
 
 
 def edge_order(subject: PolicySubject) -> str:
     rng, here, there = subject.rng, [], []
     for x in subject.observations:
-        edges = subject.edges(x)
+        edges = subject.policy.edges(x)
         shuffled = edges[:, torch.from_numpy(rng.permutation(edges.shape[1]))]
         here.append(subject.act(x, edges))
         there.append(subject.act(x, shuffled))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from xmarl_bench.policy.distribution import ActionDistribution
-from xmarl_bench.policy.graph import CompleteGraph, Graph
+from xmarl_bench.policy.graph import CompleteGraph, Graph, complete_graph, edge_index_of
 
 
 class Policy(nn.Module, ABC):
@@ -56,6 +56,11 @@ class Policy(nn.Module, ABC):
     def adjacency(self, observation: Tensor) -> Tensor | None:
         """(S, N, D) -> (S, N, N) bool, [s, i, j] for the edge j -> i; None for the complete graph."""
         return None if isinstance(self.graph, CompleteGraph) else self.graph.adjacency(observation)
+
+    def edges(self, x: Tensor) -> Tensor:
+        """(N, D) observations of one team -> (2, edges): the graph's, in the order of our mask."""
+        adjacency = self.adjacency(x[None])
+        return complete_graph(len(x)) if adjacency is None else edge_index_of(adjacency)
 
     def distribution(self, observation: Tensor, mask: Tensor | None = None) -> ActionDistribution:
         """(S, N, D) observations -> the action distributions under the mask."""

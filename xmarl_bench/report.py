@@ -141,7 +141,7 @@ def print_rows(rows: Sequence[Row]) -> None:
     table = Table(*(key.replace("_", " ") for key in rows[0]))
     for row in rows:
         table.add_row(*(_cell(value) for value in row.values()))
-    _console().print(table)
+    console().print(table)
 
 
 def markdown(rows: Sequence[Row]) -> str:
@@ -157,7 +157,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
     """A table per protocol and cell, as on the board, and a word on what was given fewer states."""
-    console = _console()
+    terminal = console()
     board = board_of([(entry.file_name, entry) for entry in entries])
     for table in board["tables"]:
         protocol = board["protocols"][table["protocol"]]
@@ -188,7 +188,7 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
                     *numbers[1:],
                 )
             shown.add_section()
-        console.print(shown)
+        terminal.print(shown)
     for entry in entries:
         cost, timesteps = entry.cost, entry.cost.explained_timesteps
         print(
@@ -223,10 +223,10 @@ def _cell(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _console() -> Console:
+def console() -> Console:
     """Wide where there is no terminal, so that logs do not break lines."""
-    console = Console()
-    return console if console.is_terminal else Console(width=160)
+    terminal = Console()
+    return terminal if terminal.is_terminal else Console(width=160)
 
 
 def print_json(value: Any) -> None:

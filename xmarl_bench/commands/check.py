@@ -63,10 +63,9 @@ def check_policy(
 
 def report(subject: str, findings: Iterable[Finding], *, as_json: bool) -> None:
     """Print the findings on `subject`; raises typer.Exit(1) where a check failed."""
-    from rich.console import Console
     from rich.table import Table
 
-    from xmarl_bench.report import print_json
+    from xmarl_bench.report import console, print_json
 
     found = list(findings)
     failed = sum(finding.passed is False for finding in found)
@@ -77,8 +76,7 @@ def report(subject: str, findings: Iterable[Finding], *, as_json: bool) -> None:
         words = {True: "[green]pass[/green]", False: "[red]FAIL[/red]", None: "[dim]n/a[/dim]"}
         for each in found:
             table.add_row(each.check, words[each.passed], each.said)
-        console = Console()
-        (console if console.is_terminal else Console(width=160)).print(table)
+        console().print(table)
         print(f"{subject}: {failed} of {len(found)} checks failed." if failed else f"{subject}: all passed.")
     if failed:
         raise typer.Exit(1)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -16,6 +16,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.field_types import Agents, Name, Sha256
 from xmarl_bench.files import write_atomically
 from xmarl_bench.policy.architecture import AnyArchitecture, CodeArchitecture
 from xmarl_bench.policy.build import LayeredPolicy, build_policy, weight_shapes, weights_of
@@ -29,13 +30,13 @@ class PolicyCard(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,99}$")]
+    name: Name
     task: str
-    n_agents: Annotated[int, Field(ge=1, le=1024)]
+    n_agents: Agents
     attention_entropy: float = Field(description="weight lambda of the attention-entropy term in training")
     training_seed: int | None = None
     architecture: AnyArchitecture
-    weights_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    weights_sha256: Sha256
     training: dict[str, Any] = Field(default_factory=dict, description="how it was trained, as recorded then")
     performance: dict[str, Any] = Field(default_factory=dict, description="task metrics, as measured then")
 

@@ -49,7 +49,7 @@ def convert(
     if task is None:
         raise InputError("a policy is for a task: give --task.")
     check_task(task)
-    recorded = reading.sb3_architecture(weights) if architecture is None else None
+    recorded = reading.sb3_architecture(weights, tensors) if architecture is None else None
     record = reading.read_architecture(architecture) if architecture is not None else recorded
     if record is None:
         raise InputError(f"{weights} does not say what network it is of: give --architecture.")

@@ -59,10 +59,10 @@ def read_tensors(path: Path) -> dict[str, Tensor]:
         ) from None
 
 
-def sb3_architecture(path: Path) -> Record | None:
+def sb3_architecture(path: Path, tensors: Mapping[str, Tensor]) -> Record | None:
     """The architecture that a stable-baselines3 zip of `xmarl-train` records; None for any other file.
 
-    `obs_dim` is not recorded there in the clear: it is read off the weights.
+    tensors: of the file. `obs_dim` is not recorded there in the clear: it is read off them.
     """
     data = read_file(path, MAX_BYTES)
     if not zipfile.is_zipfile(io.BytesIO(data)):
@@ -73,8 +73,8 @@ def sb3_architecture(path: Path) -> Record | None:
         text = _member(archive, SB3_DATA, 16 * 1024 * 1024)
     try:
         record = parse_json(text)["policy_kwargs"]["architecture"]
-        tensors = rename(read_tensors(path), SB3_KEYS)
-        first = tensors.get("encoder.0.weight", tensors.get("gat.lin_l.weight"))
+        actor = rename(tensors, SB3_KEYS)
+        first = actor.get("encoder.0.weight", actor.get("gat.lin_l.weight"))
         assert first is not None
         return Architecture.model_validate({**_tuples(record), "obs_dim": first.shape[1]})
     except (ValueError, KeyError, TypeError, AssertionError, IndexError):
@@ -97,12 +97,11 @@ def read_architecture(path: Path) -> Record:
 
 def read_key_map(path: Path) -> KeyMap:
     """A key map as JSON: an object of strings and nulls. Raises InputError."""
+    data = read_file(path, 1024 * 1024)
     try:
-        return _KEY_MAP.validate_python(parse_json(read_file(path, 1024 * 1024)), strict=True)
+        return _KEY_MAP.validate_python(parse_json(data), strict=True)
     except ValidationError:
         raise InputError(f"{path} is no key map: map names to names, or to null.") from None
-    except InputError:
-        raise
     except ValueError as error:
         raise InputError(f"{path} is no key map: it {error}.") from None
 

@@ -73,10 +73,6 @@ class Comparison:
     standings: tuple[Standing, ...]
     pairs: tuple[Pair, ...]  # every pair, by the order
 
-    def record(self) -> dict[str, Any]:
-        """As JSON."""
-        return asdict(self)
-
 
 def compare(blocks: Blocks, metric: str) -> Comparison:
     """Compare explainers by one metric of their episodes. Raises InputError where it was not measured."""
@@ -138,4 +134,4 @@ def _values(blocks: Blocks, explainer: str, metric: str) -> list[Floats]:
 
 def records(comparisons: Sequence[Comparison]) -> list[Mapping[str, Any]]:
     """As JSON: numbers and nothing else."""
-    return [comparison.record() for comparison in comparisons]
+    return [asdict(comparison) for comparison in comparisons]

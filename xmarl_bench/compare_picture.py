@@ -5,11 +5,15 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from xmarl_bench.compare import Comparison
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import write_atomically
 from xmarl_bench.statistics import Difference
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FORMATS = (".png", ".svg", ".pdf")
 # Tie groups one after the other; colours that colour-blind people tell apart (Okabe and Ito).
@@ -66,10 +70,7 @@ def draw(comparisons: Sequence[Comparison], path: Path) -> None:
     write_atomically(path, data.getvalue())
 
 
-def _interval(panel: object, y: int, difference: Difference, colour: str, filled: bool = True) -> None:
-    from matplotlib.axes import Axes
-
-    assert isinstance(panel, Axes)
+def _interval(panel: Axes, y: int, difference: Difference, colour: str, filled: bool = True) -> None:
     value = difference.value if difference.value is not None else float("nan")
     if difference.interval is not None:
         panel.hlines(y, *difference.interval, color=colour, linewidth=2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 from xmarl_bench.entry import CellResult, Entry, read_entries, read_entry
@@ -18,6 +19,11 @@ def read_named(names: Sequence[str], folder: Path) -> list[Entry]:
     Files are taken as they are, names and folders on the states that all explainers share. Raises InputError
     for a name that means no entry.
     """
+
+    @cache
+    def in_folder() -> list[Entry]:
+        return [entry for _, entry in read_entries(folder)]
+
     found: list[Entry] = []
     files = all(Path(name).is_file() for name in names)
     for name in names:
@@ -27,10 +33,9 @@ def read_named(names: Sequence[str], folder: Path) -> list[Entry]:
         elif path.is_file() or path.suffix == ".json":
             entries = [read_entry(path)]
         else:
-            all_entries = read_entries(folder)
-            entries = [entry for _, entry in all_entries if entry.explainer.name == name]
+            entries = [entry for entry in in_folder() if entry.explainer.name == name]
             if not entries:
-                known = sorted({entry.explainer.name for _, entry in all_entries})
+                known = sorted({entry.explainer.name for entry in in_folder()})
                 raise InputError(
                     f"{name!r} is neither a file nor an explainer with entries in {folder}: give one of "
                     f"{', '.join(known) or 'none there'}, or the path of an entry."
@@ -48,16 +53,14 @@ def shared_states(entries: Sequence[Entry]) -> list[Entry]:
     one with most timesteps.
     """
     explainers = {entry.explainer.name for entry in entries}
-    by_states: dict[bytes, list[Entry]] = {}
+    by_states: dict[tuple[bytes, ...], list[Entry]] = {}
     for entry in entries:
-        by_states.setdefault(canonical_json([_states(entry, c).decode() for c in entry.results]), []).append(
-            entry
-        )
-    largest: dict[bytes, list[Entry]] = {}
+        by_states.setdefault(tuple(_states(entry, cell) for cell in entry.results), []).append(entry)
+    largest: dict[tuple[str, tuple[tuple[str, int], ...]], list[Entry]] = {}
     for same in by_states.values():
         if {entry.explainer.name for entry in same} != explainers:
             continue
-        where = canonical_json([same[0].policy.name, [[c.task, c.n_agents] for c in same[0].results]])
+        where = same[0].policy.name, tuple((cell.task, cell.n_agents) for cell in same[0].results)
         known = largest.get(where)
         if known is None or same[0].cost.explained_timesteps > known[0].cost.explained_timesteps:
             largest[where] = same

@@ -58,11 +58,11 @@ def study(
     from xmarl_bench.study.cache import Cache
     from xmarl_bench.study.figures import check_matplotlib
     from xmarl_bench.study.output import write_study
-    from xmarl_bench.study.plan import QUICK, find_study, plan, select_study_explainers
+    from xmarl_bench.study.plan import QUICK, STUDIES, plan, select_study_explainers
     from xmarl_bench.study.results import StudyData
     from xmarl_bench.study.samples import Samples
 
-    chosen = find_study(name.value)
+    chosen = STUDIES[name.value]
     folder = out or Path("study") / (f"{name.value}-quick" if quick else name.value)
     if figures:
         check_matplotlib()
@@ -71,7 +71,7 @@ def study(
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
     explainers = select_study_explainers(explainer)
     requests = plan(chosen, policy, explainers, sampling, behaviour)
-    Samples.check([request.card for request in requests[:: len(explainers)]])
+    Samples.check(request.card for request in requests)
     check_writable(folder)
     entries = Cache(folder / "entries").complete(requests, jobs=jobs, progress=True, submitter=submitter)
     pairs = [(request.card, entry) for request, entry in zip(requests, entries, strict=True)]

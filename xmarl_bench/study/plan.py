@@ -67,12 +67,6 @@ STUDIES = {
 QUICK = Sampling(episodes=4, timesteps=4)
 
 
-def find_study(name: str) -> Study:
-    if name not in STUDIES:
-        raise unknown("study", name, STUDIES)
-    return STUDIES[name]
-
-
 def select_study_explainers(more: Sequence[str]) -> list[FoundExplainer]:
     """Those of the ledgers, and more."""
     return [find_explainer(name) for name in dict.fromkeys((*EXPLAINERS, *more))]

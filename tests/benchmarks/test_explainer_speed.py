@@ -1,9 +1,9 @@
 """How fast the batched explainers are, beside PyG's own one graph at a time: `make bench`.
 
 Per explanation, at 1024 timesteps, on one thread, in CPU time of this process, on states of shipped policies:
-discovery has an ordinary network, navigation the largest decoder (256, 256). PyG explains a few of the same
-states on the policy as it is, as its manual says; the best round of each counts. `ratio` is what one of PyG's
-explanations costs divided by what one of ours does.
+discovery has an ordinary network, navigation the paper's, with the largest decoder (256, 256). PyG explains a
+few of the same states on the policy as it is, as its manual says; the best round of each counts.
+`ratio` is what one of PyG's explanations costs divided by what one of ours does.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tests.baselines.reference import by_pyg, trained
 from xmarl_bench.explainer import Explainer, run_explainer
 
 N_STEPS, GRAPHS, ROUNDS = 1024, 5, 3
-POLICIES = {"discovery": "discovery-n3-lambda0-seed0", "navigation": "navigation-n3-lambda0-seed0"}
+POLICIES = {"discovery": "discovery-n3-lambda0-seed0", "navigation": "navigation-paper-n3-lambda0-seed0"}
 PEERS: dict[str, tuple[Explainer, Callable[[], ExplainerAlgorithm]]] = {
     "GNNExplainer": (gnn_explainer, GNNExplainer),
     "GraphMask": (graphmask, lambda: GraphMaskExplainer(num_layers=1, log=False)),

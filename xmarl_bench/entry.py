@@ -33,7 +33,7 @@ from xmarl_bench.field_types import (
 from xmarl_bench.files import canonical_json, write_json
 from xmarl_bench.policy.architecture import AnyArchitecture
 from xmarl_bench.protocol import PROTOCOL
-from xmarl_bench.strict_json import parse_json, shown
+from xmarl_bench.strict_json import first_error, parse_json, shown
 
 SCHEMA_VERSION: Final = 3
 
@@ -322,9 +322,9 @@ def parse_entry(data: bytes) -> Entry:
     try:
         entry = Entry.model_validate_json(data)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = shown(".".join(str(part) for part in first["loc"]), 120).strip("'") or "the whole file"
-        raise ValueError(f"is not an entry: {first['msg']} at {where}") from None
+        said, where = first_error(error)
+        where = shown(where, 120).strip("'") or "the whole file"
+        raise ValueError(f"is not an entry: {said} at {where}") from None
     if entry_id(entry) != entry.entry_id:
         raise ValueError("was changed after it was written (its entry_id does not fit): score it again")
     if canonical_json(value) != canonical_json(entry.model_dump(mode="json")):

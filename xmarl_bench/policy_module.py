@@ -20,6 +20,7 @@ from xmarl_bench.policy.architecture import CodeArchitecture, DistributionKind
 from xmarl_bench.policy.bundle import PolicyCard
 from xmarl_bench.policy.graph import CompleteGraph, Graph
 from xmarl_bench.policy.module import ModulePolicy
+from xmarl_bench.strict_json import first_error
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,8 @@ class PolicyModule:
                 weights_sha256=_weights_sha256(self.network),
             )
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise InputError(f"policy {self.name!r} has no valid {where}: {first['msg']}.") from None
+            said, where = first_error(error)
+            raise InputError(f"policy {self.name!r} has no valid {where}: {said}.") from None
         policy = ModulePolicy(
             self.network, obs_dim, action_dim, distribution=self.distribution, graph=self.graph
         )

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 MAX_BYTES = 16 * 1024 * 1024
 # Each delimiter is at most one more value to validate, at some microseconds each: a bound on time.
@@ -46,6 +49,15 @@ def shown(value: object, length: int = 80) -> str:
     """What a stranger wrote, for a terminal or a log: as a literal, printable ASCII, one line, shortened."""
     line = ascii(str(value) if isinstance(value, BaseException) else value)
     return line if len(line) <= length else line[: length - 4] + "..." + line[-1]
+
+
+def first_error(error: ValidationError) -> tuple[str, str]:
+    """What pydantic found first, and where: names joined by dots, empty for the whole value.
+
+    Both may quote the value: they are for `shown` where a stranger wrote it.
+    """
+    first = error.errors(include_url=False, include_input=False, include_context=False)[0]
+    return first["msg"], ".".join(str(part) for part in first["loc"])
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

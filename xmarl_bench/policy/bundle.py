@@ -22,7 +22,7 @@ from xmarl_bench.policy.architecture import AnyArchitecture, CodeArchitecture
 from xmarl_bench.policy.build import LayeredPolicy, build_policy, weight_shapes, weights_of
 from xmarl_bench.policy.network import GraphPolicy
 from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS, check_weights, read_member
-from xmarl_bench.strict_json import parse_json, shown
+from xmarl_bench.strict_json import first_error, parse_json, shown
 
 
 class PolicyCard(BaseModel):
@@ -60,9 +60,8 @@ def load_card(bundle: Path) -> PolicyCard:
         parse_json(data, max_bytes=MAX_BYTES[CARD])
         card = PolicyCard.model_validate_json(data)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False, include_context=False)[0]
-        where = shown(".".join(str(part) for part in first["loc"]) or "the whole file")
-        said = shown(first["msg"], 200).strip("'\"")
+        said, where = first_error(error)
+        said, where = shown(said, 200).strip("'\""), shown(where or "the whole file")
         raise InputError(f"{bundle / CARD} is not a policy card: {said} at {where}.") from None
     except ValueError as error:
         raise InputError(f"{bundle / CARD} is not a policy card: it {error}.") from None

@@ -30,7 +30,7 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import Architecture, BundledArchitecture, LayeredArchitecture
 from xmarl_bench.policy.untrusted import read_file
-from xmarl_bench.strict_json import parse_json, shown
+from xmarl_bench.strict_json import first_error, parse_json, shown
 
 MAX_BYTES = 512 * 1024 * 1024  # of a checkpoint: critic, optimiser and all
 MAX_PICKLE = 4 * 1024 * 1024  # what says which tensors there are, without their numbers
@@ -88,9 +88,10 @@ def read_architecture(path: Path) -> Record:
         parse_json(data)
         return _RECORD.validate_json(data)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise InputError(f"{path} is no architecture: {shown(first['msg'])} at {shown(where)}.") from None
+        said, where = first_error(error)
+        raise InputError(
+            f"{path} is no architecture: {shown(said)} at {shown(where or 'the whole file')}."
+        ) from None
     except ValueError as error:
         raise InputError(f"{path} is no architecture: it {error}.") from None
 

@@ -18,7 +18,7 @@ from xmarl_bench.entry import Entry, PolicyRecord, Verification, parse_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import write_atomically
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
-from xmarl_bench.strict_json import MAX_BYTES, parse_json, shown
+from xmarl_bench.strict_json import MAX_BYTES, first_error, parse_json, shown
 from xmarl_bench.submission.archive import MANIFEST, kind_of, read_files
 from xmarl_bench.submission.consistency import entry_findings
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
@@ -153,8 +153,8 @@ def _manifest_findings(files: dict[str, bytes]) -> Iterator[str]:
         parse_json(data)
         manifest = Manifest.model_validate_json(data)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False, include_context=False)[0]
-        yield f"{first['msg']} at {shown('.'.join(map(str, first['loc'])), 120)}."
+        said, where = first_error(error)
+        yield f"{said} at {shown(where, 120)}."
         return
     except ValueError as error:
         yield f"it {error}."

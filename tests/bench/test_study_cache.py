@@ -117,6 +117,18 @@ def test_the_key_follows_an_explainers_code(make_bundle: MakeBundle, monkeypatch
     assert content_key(asked) != before
 
 
+def test_the_key_follows_the_code_of_a_file(make_bundle: MakeBundle, tmp_path: Path) -> None:
+    base = request(make_bundle())
+    file, keys = tmp_path / "mine.py", set()
+    for value in ("zeros", "ones"):
+        file.write_text(
+            "import torch\n\n\ndef mine(observations, policy):\n"
+            f"    return torch.{value}(*observations.shape[:2], observations.shape[1])\n"
+        )
+        keys.add(content_key(replace(base, explainer=find_explainer(f"{file}:mine"))))
+    assert len(keys) == 2
+
+
 def test_an_error_names_the_explainer_and_keeps_what_was_done(
     make_bundle: MakeBundle, tmp_path: Path, counted: Counted
 ) -> None:

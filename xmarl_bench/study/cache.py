@@ -110,6 +110,8 @@ def content_key(request: Request) -> str:
 
 def code_sha256(found: FoundExplainer) -> str | None:
     """Of the file that the explainer's entry point names; None where there is no such file."""
+    if found.code_sha256 is not None:  # it came from a file on the command line, which is no module
+        return found.code_sha256
     module = sys.modules.get(found.entry_point.partition(":")[0])
     source = Path(str(getattr(module, "__file__", "")))
     return hashlib.sha256(source.read_bytes()).hexdigest() if source.is_file() else None

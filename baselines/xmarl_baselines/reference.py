@@ -1,12 +1,15 @@
 """The reference policies: every run that is trained for the benchmark, by name.
 
 `xmarl-train --reproduce NAME` trains one of them again, `--reproduce all` those that a folder of runs lacks.
+The paper's own schedules are runs with names too, but no references: see paper_lambda.py.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from xmarl_baselines.policies import shipped_policies
-from xmarl_baselines.recipes import PAPER_NAVIGATION, RECIPES, Recipe
+from xmarl_baselines.recipes import PAPER_NAVIGATION, PAPER_SCHEDULE, RECIPES, Recipe
 from xmarl_baselines.trainer import Run
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.bundle import load_card
@@ -20,6 +23,8 @@ LAMBDAS = {
     "blind_passage_v0": {3: 0.03, 4: 0.01, 5: 0.01},  # with 0.01, N = 3 keeps 0.58 of its entropy
     "blind_discovery_v0": dict.fromkeys(SIZES, 0.05),
 }
+# The paper's (Kailas et al., ICML 2025, appendix).
+PAPER_LAMBDAS = {"blind_navigation_v0": 10.0, "blind_passage_v0": 50.0, "blind_discovery_v0": 50.0}
 
 
 def reference_runs() -> dict[str, Run]:
@@ -35,12 +40,26 @@ def reference_runs() -> dict[str, Run]:
     return {run.name: run for run in runs}
 
 
+def schedule_runs() -> dict[str, Run]:
+    """Name -> run of the paper's schedule, N = 3: its lambda or none, advantages as in its table or not."""
+    runs = []
+    for task, paper in PAPER_SCHEDULE.items():
+        other = "raw" if paper.normalize_advantage else "normalised"
+        changed = replace(
+            paper, normalize_advantage=not paper.normalize_advantage, variant=f"{paper.variant}-{other}"
+        )
+        for regularised in (True, False):
+            weight = PAPER_LAMBDAS[task] if regularised else 0.0
+            runs += [Run(recipe, attention_entropy=weight) for recipe in (paper, changed)]
+    return {run.name: run for run in runs}
+
+
 def run_named(name: str) -> Run:
-    """The run that made the shipped policy `name`, as its card records it, or the reference run to be made.
+    """The run that made the shipped policy `name`, as its card records it, or the one to be made.
 
     Raises InputError for a name that is neither.
     """
-    runs, shipped = reference_runs(), shipped_policies()
+    runs, shipped = reference_runs() | schedule_runs(), shipped_policies()
     if name in shipped:
         training = load_card(shipped[name]).training
         fields = ("n_agents", "attention_entropy", "seed", "caution", "start_from")

@@ -17,6 +17,7 @@ from typing import Annotated
 import typer
 
 from xmarl_baselines.independent_ppo import CONTROLS
+from xmarl_baselines.paper_lambda import RECORDS
 from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.reference import EPISODES
 from xmarl_bench.default_policies import default_policies, is_final, worth
@@ -107,6 +108,34 @@ def control_rows() -> list[Row]:
     return rows
 
 
+def lambda_rows() -> list[Row]:
+    """One row per run of the paper's schedule: what became of its attention, and of the team."""
+    rows: list[Row] = []
+    records = [json.loads(path.read_text()) for path in RECORDS.glob("*.json")]
+    for record in sorted(records, key=lambda r: (r["task"], -r["lambda"], r["name"])):
+        start, end = record["along"][0], record["listening"]
+        heard, unheard = (record["performance"][f"with{how}_messages"] for how in ("", "out"))
+        both = {
+            title: f"{shown(MEASURES[title], heard[MEASURES[title]])}"
+            f" / {shown(MEASURES[title], unheard[MEASURES[title]])}"
+            for title in ("success", "no agent collision")
+        }
+        rows.append(
+            {
+                "task": record["task"],
+                "lambda": record["lambda"],
+                "advantages": "normalised" if record["normalize_advantage"] else "raw",
+                "frames (M)": f"{record['frames'] / 1e6:.2f} of {record['frames_of_the_schedule'] / 1e6:.1f}",
+                "attention entropy": f"{start['attention_entropy']:.2f} -> {end['attention_entropy']:.3f}",
+                "own edge": f"{start['own_share']:.2f} -> {end['own_share']:.2f}",
+                **both,
+                "communication dependence": f"{end['communication_dependence']:.4f}",
+                "command": f"`{record['command']}`",
+            }
+        )
+    return rows
+
+
 def measure_zero_shot() -> None:
     """Every navigation policy with 1, 2 and 3 agents more than it knows, into ZERO_SHOT."""
     chosen = [card for card in final(shipped_cards()) if card.task == "blind_navigation_v0"]
@@ -143,6 +172,7 @@ def tables() -> dict[str, str]:
         "cells": markdown(cell_rows(cards)),
         "policies": markdown(policy_rows(cards)),
         "controls": markdown(control_rows()),
+        "paper-lambda": markdown(lambda_rows()),
         "zero-shot": markdown(zero_shot_rows()),
     }
 

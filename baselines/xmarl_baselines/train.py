@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from xmarl_baselines.recipes import recipe_for
-from xmarl_baselines.reference import EPISODES, reference_runs, run_named
+from xmarl_baselines.reference import EPISODES, reference_runs, run_named, schedule_runs
 from xmarl_baselines.trainer import Report, Run, train
 from xmarl_bench.errors import InputError
 from xmarl_bench.evaluation import Performance, evaluate_policy
@@ -162,7 +162,7 @@ def train_and_save(
 
 def _command(run: Run) -> str:
     """What trains this policy again."""
-    if reference_runs().get(run.name) == run:
+    if (reference_runs() | schedule_runs()).get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"
     return (
         f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "

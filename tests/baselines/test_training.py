@@ -318,5 +318,5 @@ def test_a_run_can_start_from_a_finished_one(tmp_path: Path) -> None:
 def test_bad_recipes_and_tasks_are_refused() -> None:
     with pytest.raises(InputError, match=r"unknown|no training recipe"):
         recipe_for("blind_chess_v0")
-    with pytest.raises(InputError, match="batch_size must divide"):
+    with pytest.raises(InputError, match="batch_size must be from 1 to"):
         small(batch_size=7)

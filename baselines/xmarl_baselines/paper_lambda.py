@@ -1,0 +1,144 @@
+"""The paper's weight of the attention-entropy term on the paper's own schedule: does the team still talk?
+
+Kailas et al. (ICML 2025, appendix) train with lambda 10, 50 and 50. Each run here is the first iterations of
+that schedule from scratch, with lambda or without, advantages normalised as the paper's table says or the
+other way round. Nothing decays in the schedule, so a short run is the beginning of the whole.
+
+    python -m xmarl_baselines.paper_lambda navigation-schedule-n3-lambda10-seed0 --iterations 15
+
+writes baselines/xmarl_baselines/controls/paper_lambda/NAME.json, which a table of baselines/README.md shows.
+`xmarl-train --reproduce NAME` trains the whole schedule.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+import typer
+from numpy.typing import NDArray
+from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
+from torch import Tensor
+
+from xmarl_baselines.independent_ppo import CONTROLS
+from xmarl_baselines.mappo import MAPPO
+from xmarl_baselines.model_selection import plain_actor
+from xmarl_baselines.reference import run_named
+from xmarl_baselines.trainer import Run, build
+from xmarl_bench.evaluation import evaluate_policy
+from xmarl_bench.files import write_json
+from xmarl_bench.metrics import attention_entropy, prediction_change
+from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.reproducible import one_thread
+from xmarl_bench.request import Cell, Sampling
+from xmarl_bench.rollout import roll_out
+
+RECORDS = CONTROLS / "paper_lambda"
+STATES = Sampling(episodes=20)  # whose every timestep is looked at in the end: the first that scoring plays
+CHECKPOINT_EVERY = 5  # iterations
+Look = dict[str, float | None]
+
+
+def own_share(attention: NDArray[np.floating]) -> float:
+    """(S, N, N) attention -> mean share of an agent's attention that is on its own edge, in [0, 1]."""
+    return float(np.diagonal(attention, axis1=-2, axis2=-1).mean())
+
+
+class _Attention(BaseCallback):
+    """Looks at the attention on the states of each iteration, before they are learned from; prints a line."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._name = name
+        self.looks: list[Look] = []
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        assert isinstance(self.model, MAPPO)
+        seen = torch.from_numpy(self.model.rollout_buffer.observations).flatten(0, 1)
+        with torch.no_grad():
+            attention = self.model.policy.actor.attention(seen).numpy()
+        ended = [row["is_success"] for row in self.model.ep_info_buffer or []]
+        look: Look = {
+            "frames": self.model.num_timesteps - len(seen),  # learned from so far
+            "attention_entropy": float(attention_entropy(attention).mean()),
+            "own_share": own_share(attention),
+            "success_while_exploring": float(np.mean(ended)) if ended else None,
+        }
+        self.looks.append(look)
+        print(self._name, look, flush=True)
+
+
+def first_iterations(run: Run, iterations: int, folder: Path) -> tuple[GraphPolicy, list[Look]]:
+    """The policy after so many iterations of `run`, and what its attention was on the states of each.
+
+    `folder` gets SB3's checkpoints.
+    """
+    recipe = run.recipe
+    model = build(run, seed=run.seed)
+    looking = _Attention(run.name)
+    keeping = CheckpointCallback(CHECKPOINT_EVERY * recipe.n_steps, str(folder), name_prefix="model")
+    model.learn(iterations * recipe.n_envs * recipe.n_steps, callback=[looking, keeping])
+    model.save(folder / "model")
+    return plain_actor(model), looking.looks
+
+
+@torch.inference_mode()
+def listening(policy: GraphPolicy, task: str, n_agents: int) -> dict[str, float]:
+    """On deterministic episodes: entropy (nats) and own share of attention, and how far the action moves, in
+    [-1, 1] units, when every message between agents is removed. Means of episodes' means, as in scoring."""
+    seeds, cell = STATES.seeds, Cell(task, n_agents)
+    rows = []
+    for episode in roll_out(cell.make(), policy, seeds):
+        seen = torch.tensor(episode.observations)
+        attention = policy.attention(seen).numpy()
+        change = prediction_change(_action(policy, seen), _action(policy, seen, torch.eye(n_agents)))
+        rows.append((attention_entropy(attention).mean(), own_share(attention), change.mean()))
+    names = ("attention_entropy", "own_share", "communication_dependence")
+    return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+
+
+def _action(policy: GraphPolicy, seen: Tensor, mask: Tensor | None = None) -> NDArray[np.float32]:
+    action: NDArray[np.float32] = policy.distribution(seen, mask).action.numpy()
+    return action
+
+
+def main(
+    name: Annotated[str, typer.Argument(help="e.g. navigation-schedule-n3-lambda10-seed0")],
+    iterations: Annotated[int, typer.Option(min=1, help="of the paper's schedule")],
+    episodes: Annotated[int, typer.Option(min=1, help="of the evaluation at the end")] = 100,
+    out: Annotated[Path, typer.Option(help="folder for NAME.json")] = RECORDS,
+    runs: Annotated[Path, typer.Option(help="folder for checkpoints")] = Path("runs"),
+) -> None:
+    """Train the first iterations of one of the paper's schedules and write what became of its attention."""
+    run, started = run_named(name), time.process_time()
+    recipe = run.recipe
+    with one_thread():
+        policy, looks = first_iterations(run, iterations, runs / name)
+        seconds = time.process_time() - started
+        record: dict[str, Any] = {
+            "name": name,
+            "command": f"python -m xmarl_baselines.paper_lambda {name} --iterations {iterations}",
+            "task": recipe.task,
+            "n_agents": run.n_agents,
+            "lambda": run.attention_entropy,
+            "normalize_advantage": recipe.normalize_advantage,
+            "iterations": iterations,
+            "frames": iterations * recipe.n_envs * recipe.n_steps,
+            "frames_of_the_schedule": recipe.frames,
+            "cpu_seconds": round(seconds, 1),
+            "along": looks,
+            "listening": listening(policy, recipe.task, run.n_agents),
+            "performance": evaluate_policy(policy, recipe.task, run.n_agents, episodes=episodes),
+        }
+    write_json(out / f"{name}.json", record)
+    print(f"{out / f'{name}.json'}: {record['listening']}")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -47,6 +47,12 @@ def own_share(attention: NDArray[np.floating]) -> float:
     return float(np.diagonal(attention, axis1=-2, axis2=-1).mean())
 
 
+def most_heard(attention: NDArray[np.floating]) -> float:
+    """(S, N, N) attention -> mean share of the team's attention that the agent gets who gets most of it:
+    1 / N where agents hear themselves or all alike, 1 where everybody hears the same one."""
+    return float(attention.mean(axis=-2).max(axis=-1).mean())
+
+
 class _Attention(BaseCallback):
     """Looks at the attention on the states of each iteration, before they are learned from; prints a line."""
 
@@ -90,16 +96,16 @@ def first_iterations(run: Run, iterations: int, folder: Path) -> tuple[GraphPoli
 
 @torch.inference_mode()
 def listening(policy: GraphPolicy, task: str, n_agents: int) -> dict[str, float]:
-    """On deterministic episodes: entropy (nats) and own share of attention, and how far the action moves, in
+    """On deterministic episodes: entropy (nats) and shares of attention, and how far the action moves, in
     [-1, 1] units, when every message between agents is removed. Means of episodes' means, as in scoring."""
-    seeds, cell = STATES.seeds, Cell(task, n_agents)
     rows = []
-    for episode in roll_out(cell.make(), policy, seeds):
+    for episode in roll_out(Cell(task, n_agents).make(), policy, STATES.seeds, max_cycles=STATES.max_cycles):
         seen = torch.tensor(episode.observations)
         attention = policy.attention(seen).numpy()
         change = prediction_change(_action(policy, seen), _action(policy, seen, torch.eye(n_agents)))
-        rows.append((attention_entropy(attention).mean(), own_share(attention), change.mean()))
-    names = ("attention_entropy", "own_share", "communication_dependence")
+        entropy = attention_entropy(attention)
+        rows.append((entropy.mean(), own_share(attention), most_heard(attention), change.mean()))
+    names = ("attention_entropy", "own_share", "most_heard", "communication_dependence")
     return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
 

@@ -128,6 +128,7 @@ def lambda_rows() -> list[Row]:
                 "frames (M)": f"{record['frames'] / 1e6:.2f} of {record['frames_of_the_schedule'] / 1e6:.1f}",
                 "attention entropy": f"{start['attention_entropy']:.2f} -> {end['attention_entropy']:.3f}",
                 "own edge": f"{start['own_share']:.2f} -> {end['own_share']:.2f}",
+                "most heard": f"{end['most_heard']:.2f}",
                 **both,
                 "communication dependence": f"{end['communication_dependence']:.4f}",
                 "command": f"`{record['command']}`",

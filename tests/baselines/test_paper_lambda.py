@@ -1,0 +1,122 @@
+"""The paper's schedules are its tables, and what is recorded of their attention is what it is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from xmarl_baselines import paper_lambda
+from xmarl_baselines.distance_attention import attend_by_distance
+from xmarl_baselines.mappo import MAPPO
+from xmarl_baselines.model_selection import plain_actor
+from xmarl_baselines.recipes import PAPER_SCHEDULE
+from xmarl_baselines.reference import PAPER_LAMBDAS, reference_runs, run_named, schedule_runs
+from xmarl_baselines.report import lambda_rows
+from xmarl_baselines.shaping import Shaping
+from xmarl_baselines.trainer import Run, build
+from xmarl_envs import TASKS
+
+from xmarl_bench.request import Sampling
+
+# Kailas et al. (ICML 2025), appendix: learning rate, gamma, lambda of GAE, clip epsilon, normalised, epochs,
+# gradient norm, minibatch, iterations, frames per batch; and the weight of the attention-entropy term.
+TABLES = {
+    "blind_navigation_v0": (3e-4, 0.99999, 0.9, 0.2, False, 30, 1.0, 800, 150, 18_000, 10.0),
+    "blind_passage_v0": (5e-5, 0.99999, 0.9, 0.2, False, 30, 1.0, 800, 100, 60_000, 50.0),
+    "blind_discovery_v0": (7e-4, 0.9999, 0.95, 0.05, True, 5, 10.0, 10_000, 1000, 10_000, 50.0),
+}
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_schedule_is_the_papers_table(task: str) -> None:
+    recipe = PAPER_SCHEDULE[task]
+    iteration = recipe.n_envs * recipe.n_steps
+    assert TABLES[task] == (
+        recipe.learning_rate,
+        recipe.gamma,
+        recipe.gae_lambda,
+        recipe.clip_range,
+        recipe.normalize_advantage,
+        recipe.n_epochs,
+        recipe.max_grad_norm,
+        recipe.batch_size,
+        recipe.frames / iteration,
+        iteration,
+        PAPER_LAMBDAS[task],
+    )
+    assert (recipe.task, recipe.shaping, recipe.imitation) == (task, Shaping(), None)
+    for remaining in (1.0, 0.5, 0.0):
+        assert recipe.learning_rate_at(remaining) == recipe.learning_rate
+    model = build(Run(recipe, attention_entropy=PAPER_LAMBDAS[task]), seed=0)
+    assert model.attention_weight() == PAPER_LAMBDAS[task]  # from the first step
+
+
+def test_schedules_have_names_and_are_no_references() -> None:
+    runs = schedule_runs()
+    assert len(runs) == 12
+    assert not runs.keys() & reference_runs().keys()
+    for name, run in runs.items():
+        assert run_named(name) == run
+        as_in_the_paper = PAPER_SCHEDULE[run.recipe.task].normalize_advantage
+        other = "-raw-" in name or "-normalised-" in name
+        assert run.recipe.normalize_advantage == (as_in_the_paper != other)
+    assert {run.attention_entropy for run in runs.values()} == {0.0, 10.0, 50.0}
+
+
+def test_shares_of_attention_by_hand() -> None:
+    alike, self_only = np.full((2, 3, 3), 1 / 3), np.broadcast_to(np.eye(3), (2, 3, 3))
+    star = np.zeros((2, 3, 3))
+    star[0, :, 1] = star[1, :, 2] = 1.0  # another one in each state
+    assert paper_lambda.own_share(alike) == pytest.approx(1 / 3)
+    assert paper_lambda.most_heard(alike) == pytest.approx(1 / 3)
+    assert (paper_lambda.own_share(self_only), paper_lambda.most_heard(self_only)) == pytest.approx(
+        (1, 1 / 3)
+    )
+    assert (paper_lambda.own_share(star), paper_lambda.most_heard(star)) == pytest.approx((1 / 3, 1))
+
+
+def test_a_team_that_hears_itself_alone_depends_on_no_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(paper_lambda, "STATES", Sampling(episodes=2, max_cycles=5))
+    model = build(Run(PAPER_SCHEDULE["blind_navigation_v0"]), seed=0)
+    before = paper_lambda.listening(plain_actor(model), "blind_navigation_v0", 3)
+    attend_by_distance(model.policy.actor, 1e4)
+    after = paper_lambda.listening(plain_actor(model), "blind_navigation_v0", 3)
+    assert before["communication_dependence"] > 1e-4
+    assert after == pytest.approx(
+        {"attention_entropy": 0, "own_share": 1, "most_heard": 1 / 3, "communication_dependence": 0}, abs=1e-6
+    )
+
+
+def test_a_run_is_recorded_and_becomes_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "navigation-schedule-n3-lambda10-seed0"
+    short = replace(schedule_runs()[name].recipe, n_envs=4, n_steps=20, batch_size=30, n_epochs=1)
+    monkeypatch.setattr(paper_lambda, "run_named", lambda _: Run(short, attention_entropy=10.0))
+    monkeypatch.setattr(paper_lambda, "STATES", Sampling(episodes=1))
+    monkeypatch.setattr("xmarl_baselines.report.RECORDS", tmp_path)
+    paper_lambda.main(name, iterations=3, episodes=1, out=tmp_path, runs=tmp_path / "runs")
+    record = json.loads((tmp_path / f"{name}.json").read_text())
+    assert [look["frames"] for look in record["along"]] == [0, 80, 160]
+    assert record["frames"] == 240
+    saved = plain_actor(MAPPO.load(tmp_path / "runs" / name / "model"))
+    assert paper_lambda.listening(saved, "blind_navigation_v0", 3) == record["listening"]
+    (row,) = lambda_rows()
+    assert (row["lambda"], row["advantages"], row["frames (M)"]) == (10.0, "raw", "0.00 of 2.7")
+    start, end = record["along"][0], record["listening"]
+    assert row["attention entropy"] == f"{start['attention_entropy']:.2f} -> {end['attention_entropy']:.3f}"
+    assert row["command"] == f"`python -m xmarl_baselines.paper_lambda {name} --iterations 3`"
+
+
+def test_the_attention_looked_at_is_that_of_the_untrained_team_first(tmp_path: Path) -> None:
+    short = replace(PAPER_SCHEDULE["blind_discovery_v0"], n_envs=4, n_steps=10, batch_size=40)
+    run = Run(short, attention_entropy=50.0)
+    _, looks = paper_lambda.first_iterations(run, 1, tmp_path)
+    model = build(run, seed=0)
+    model.learn(1)
+    fresh = build(run, seed=0).policy.actor
+    seen = torch.from_numpy(model.rollout_buffer.observations).flatten(0, 1)
+    attention = fresh.attention(seen).detach().numpy()
+    assert looks[0]["own_share"] == pytest.approx(paper_lambda.own_share(attention))

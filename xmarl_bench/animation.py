@@ -18,7 +18,7 @@ from xmarl_envs.render import FPS, Renderer
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
-from xmarl_bench.fan_out import fan_out
+from xmarl_bench.fan_out import in_order
 from xmarl_bench.files import check_writable, write_atomically
 from xmarl_bench.recording import Recording
 
@@ -78,7 +78,7 @@ def write_animation(
         assert picture is not None  # it goes to no window
         return picture
 
-    frames, data = encode(fan_out(draw, cycles, progress="draw" if progress else None), cycles)
+    frames, data = encode(in_order(draw, cycles, progress="draw" if progress else None), cycles)
     write_atomically(path, data)
     return Written(frames, len(data))
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+
+if TYPE_CHECKING:
+    from xmarl_bench.workers import Workers
 
 Tasks = Annotated[list[str], typer.Option("--task", help="Task, or 'all'. Repeatable.")]
 Agents = Annotated[
@@ -27,7 +31,20 @@ Explainers = Annotated[
 Episodes = Annotated[int, typer.Option(help="Episodes per policy.")]
 MaxCycles = Annotated[int | None, typer.Option(help="Steps per episode; the task's own number by default.")]
 Seed = Annotated[int, typer.Option(help="Chooses the episodes, and seeds the explainers.")]
-Jobs = Annotated[int, typer.Option(help="Processes. Changes no result.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        help="Processes, none of which changes a result; 1 by default, with --backend every worker there is."
+    ),
+]
+Backend = Annotated[
+    Literal["loky", "ray", "dask"],
+    typer.Option(help="Where processes run: loky's on this machine, Ray's or Dask's on a cluster."),
+]
+Address = Annotated[
+    str | None,
+    typer.Option(help="host:port of the cluster of --backend; one is started on this machine by default."),
+]
 Parallel = Annotated[int, typer.Option(help="Episodes stepped side by side in a process. Changes no result.")]
 TrustCode = Annotated[
     bool,
@@ -37,3 +54,19 @@ TrustCode = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Cells = Annotated[
+    Path,
+    typer.Option(
+        "--cells", envvar="XMARL_BENCH_CELLS", help="Folder that finished work is kept in, for all runs."
+    ),
+]
+Resume = Annotated[
+    bool, typer.Option(help="Use finished work that is kept; with --no-resume it is computed again.")
+]
+
+
+def workers_of(jobs: int | None, backend: Literal["loky", "ray", "dask"], address: str | None) -> Workers:
+    """One process unless more are asked for; of a cluster, every worker."""
+    from xmarl_bench.workers import Workers
+
+    return Workers(1 if jobs is None and backend == "loky" else jobs, backend, address)

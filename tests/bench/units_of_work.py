@@ -1,0 +1,75 @@
+"""What tests hand to workers: functions that a worker process imports, some of which fail."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.rollout import Episode, Rollout
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def process(number: int) -> int:
+    time.sleep(0.02)
+    return os.getpid()
+
+
+def threads(number: int) -> dict[str, str | None]:
+    return {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")}
+
+
+class AwkwardError(Exception):
+    """Can be pickled, and not be loaded again."""
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(first)
+
+
+def fail(number: int) -> object:
+    if number == 1:
+        raise InputError("a sentence of its own.")
+    if number == 2:
+        raise KeyError("missing")
+    if number == 3:
+        raise AwkwardError("one", "two")
+    if number == 4:
+        return (each for each in "cannot be pickled")
+    return number
+
+
+class Unpicklable:
+    def __reduce__(self) -> str:
+        raise TypeError("this cannot be sent")
+
+
+class Unloadable:
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return int, ("not a number",)
+
+
+def kill_worker(number: int) -> int:
+    """Every 5th unit kills whoever computes it."""
+    time.sleep(0.02)
+    if number % 5 == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def kill_worker_once(unit: tuple[Rollout, Path | None]) -> list[Episode]:
+    """A real piece of scoring; the worker dies the first time where a file is named."""
+    rollout, mark = unit
+    if mark is not None and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return rollout.play()
+
+
+def sleep_long(number: int) -> int:
+    time.sleep(600)
+    return number

@@ -1,0 +1,42 @@
+"""How many processes compute, and where: on this machine, or on a cluster of Ray or Dask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from xmarl_bench.errors import InputError
+
+BackendName = Literal["loky", "ray", "dask"]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where units of work run. It changes no result. Raises InputError for what is none."""
+
+    jobs: int | None = None  # processes; None: one on this machine, every worker of a cluster
+    backend: BackendName = "loky"
+    address: str | None = None  # of a Ray or Dask cluster that runs; None: one is started on this machine
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None and self.jobs < 1:
+            raise InputError(
+                f"jobs must be at least 1, got {self.jobs}: give the number of processes to use."
+            )
+        if self.backend not in get_args(BackendName):
+            raise InputError(
+                f"there is no backend {self.backend!r}: choose one of {', '.join(get_args(BackendName))}."
+            )
+        if self.address is not None and self.backend == "loky":
+            raise InputError(
+                f"address {self.address} is of no use to loky, which runs on this machine: "
+                f"choose the backend ray or dask with it."
+            )
+
+    @property
+    def in_this_process(self) -> bool:
+        """One process needs no other: whatever is computed is computed here."""
+        return self.backend == "loky" and self.jobs in (None, 1)
+
+
+ONE_PROCESS = Workers()

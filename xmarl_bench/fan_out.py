@@ -53,12 +53,7 @@ class _Raised:
     """What the function raised, on whichever worker."""
 
     error: Exception
-    traceback: str | None
-
-    def failure(self) -> Failure:
-        a_sentence = isinstance(self.error, InputError | WorkerDiedError)
-        kind = "" if a_sentence else f"{type(self.error).__name__}: "
-        return Failure(f"{kind}{self.error}", self.traceback)
+    failure: Failure
 
 
 class WorkerDiedError(RuntimeError):
@@ -87,7 +82,7 @@ def fan_out(
     with _bar(units, total, progress) as advance:
         for index, outcome in _outcomes(function, units, workers):
             advance()
-            yield index, outcome.failure() if isinstance(outcome, _Raised) else outcome
+            yield index, outcome.failure if isinstance(outcome, _Raised) else outcome
 
 
 def in_order(
@@ -146,7 +141,7 @@ def _outcomes(
         sent = ((index, _pickled(function, unit)) for index, unit in enumerate(chain(first, remaining)))
         suspects = yield from _send(backend, sent, backend.ahead)
         for index in (yield from _send(backend, iter(suspects.items()), 1)):
-            yield index, _Raised(WorkerDiedError(DIED_TWICE), None)
+            yield index, _Raised(WorkerDiedError(DIED_TWICE), Failure(DIED_TWICE, None))
 
 
 def _send(
@@ -186,7 +181,12 @@ def _attempt(compute: Callable[[], Result]) -> Result | _Raised:
     try:
         return compute()
     except Exception as error:
-        return _Raised(error, traceback.format_exc())
+        return _raised(error)
+
+
+def _raised(error: Exception) -> _Raised:
+    kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+    return _Raised(error, Failure(f"{kind}{error}", traceback.format_exc()))
 
 
 def _pickled(function: Callable[[Unit], object], unit: Unit) -> bytes:
@@ -195,11 +195,11 @@ def _pickled(function: Callable[[Unit], object], unit: Unit) -> bytes:
     try:
         return bytes(cloudpickle.dumps((function, unit)))
     except Exception as error:
-        return bytes(cloudpickle.dumps((_raise, _portable(_Raised(error, traceback.format_exc())))))
+        return bytes(cloudpickle.dumps((_same, _portable(_raised(error)))))
 
 
-def _raise(raised: _Raised) -> None:
-    raise raised.error
+def _same(raised: _Raised) -> _Raised:
+    return raised
 
 
 def _compute(index: int, call: bytes) -> tuple[int, bytes]:
@@ -210,7 +210,7 @@ def _compute(index: int, call: bytes) -> tuple[int, bytes]:
         return bytes(cloudpickle.dumps(function(unit)))
 
     outcome = _attempt(run)
-    return index, bytes(cloudpickle.dumps(_portable(outcome))) if isinstance(outcome, _Raised) else outcome
+    return index, outcome if isinstance(outcome, bytes) else bytes(cloudpickle.dumps(_portable(outcome)))
 
 
 def _portable(raised: _Raised) -> _Raised:
@@ -218,5 +218,5 @@ def _portable(raised: _Raised) -> _Raised:
     try:
         pickle.loads(cloudpickle.dumps(raised.error))
     except Exception:
-        return _Raised(RuntimeError(f"{type(raised.error).__name__}: {raised.error}"), raised.traceback)
+        return _Raised(RuntimeError(raised.failure.error), raised.failure)
     return raised

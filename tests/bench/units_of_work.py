@@ -6,9 +6,12 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.rollout import Episode, Rollout
+
+if TYPE_CHECKING:  # torch takes a worker seconds to import, and few of these need it
+    from xmarl_bench.rollout import Episode, Rollout
 
 
 def square(number: int) -> int:

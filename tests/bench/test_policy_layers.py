@@ -23,8 +23,9 @@ from xmarl_bench.policy import (
     load_policy,
     save_policy,
 )
-from xmarl_bench.policy.build import LayeredPolicy, weight_shapes, weights_of
+from xmarl_bench.policy.build import LayeredPolicy, weights_of
 from xmarl_bench.policy.layers import LayeredNetwork
+from xmarl_bench.policy.shapes import weight_shapes
 
 GAT2 = [{"conv": "GATConv", "width": 4, "heads": 2, "activation": "elu"}] * 2
 TRANSFORMER = [{"conv": "TransformerConv", "width": 6, "heads": 3, "concat": False, "activation": "tanh"}]

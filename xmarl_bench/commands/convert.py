@@ -39,7 +39,7 @@ def convert(
     from xmarl_bench.errors import InputError
     from xmarl_bench.policy import build_policy, save_policy
     from xmarl_bench.policy import convert as reading
-    from xmarl_bench.policy.build import weight_shapes
+    from xmarl_bench.policy.shapes import weight_shapes
     from xmarl_bench.registry import check_task
 
     tensors = reading.read_tensors(weights)

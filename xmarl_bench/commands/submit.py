@@ -29,7 +29,6 @@ def submit(
     from xmarl_bench.entry import read_entry
     from xmarl_bench.errors import InputError
     from xmarl_bench.policy.bundle import load_card
-    from xmarl_bench.registry import find_policy
     from xmarl_bench.submission.checking import check
     from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle
 
@@ -40,17 +39,16 @@ def submit(
     names = dict.fromkeys(entry.policy.name for entry in submitted)
     for name in given.keys() - names.keys():
         raise InputError(f"none of the entries is of policy {name!r}: leave it out, or give its entries.")
+    registered = [name for name in names if name not in given]
+    if registered:
+        from xmarl_bench.registry import find_policy  # here, for it waits for torch
+
+        given |= {name: find_policy(name) for name in registered}
     try:
         terms = licence.read_bytes()
     except OSError as error:
         raise InputError(f"{licence} cannot be read ({error.strerror}): give a file of text.") from None
-    files = bundle_files(
-        submitted,
-        {name: given.get(name) or find_policy(name) for name in names},
-        submitter=submitter,
-        licence=terms,
-        contact=contact,
-    )
+    files = bundle_files(submitted, given, submitter=submitter, licence=terms, contact=contact)
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / out.name
         write_bundle(draft, files)

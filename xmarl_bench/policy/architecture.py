@@ -1,7 +1,7 @@
 """The architecture of a policy as data: enough to rebuild the network, nothing that could run.
 
 Widths, layers and heads are bounded here; that a record's weights fit into memory is checked before anything
-is built, see xmarl_bench.policy.build.
+is built, see xmarl_bench.policy.shapes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""From an architecture record to a network, with a bound on what a record can make us allocate."""
+"""From an architecture record to a network."""
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor, nn
 
 from xmarl_bench.errors import InputError
@@ -10,9 +9,9 @@ from xmarl_bench.policy.architecture import Architecture, LayeredArchitecture
 from xmarl_bench.policy.layers import LayeredNetwork
 from xmarl_bench.policy.module import ModulePolicy
 from xmarl_bench.policy.network import GraphPolicy
+from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import misfit
 
-MAX_PARAMETERS = 16 * 1024 * 1024  # 64 MB of float32
 LAYER = "layers.0."  # of the network that `GraphPolicy` calls `gat.`
 
 
@@ -59,27 +58,6 @@ def weights_of(policy: GraphPolicy | LayeredPolicy) -> dict[str, Tensor]:
     """The tensors of a policy that `build_policy` made, by the names of `weight_shapes`."""
     module: nn.Module = policy.network if isinstance(policy, LayeredPolicy) else policy
     return {name: tensor.detach() for name, tensor in module.state_dict().items()}
-
-
-def weight_shapes(architecture: Architecture | LayeredArchitecture) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of a record's tensors, found without allocating one of them.
-
-    Raises InputError where they are more than MAX_PARAMETERS numbers together.
-    """
-    with torch.device("meta"):
-        network = (
-            GraphPolicy(architecture)
-            if isinstance(architecture, Architecture)
-            else LayeredNetwork(architecture)
-        )
-    tensors = network.state_dict()
-    total = sum(tensor.numel() for tensor in tensors.values())
-    if total > MAX_PARAMETERS:
-        raise InputError(
-            f"an architecture of {total} parameters is more than the {MAX_PARAMETERS} that are taken: "
-            f"make it narrower."
-        )
-    return {name: tuple(tensor.shape) for name, tensor in tensors.items()}
 
 
 def _check_shapes(expected: dict[str, tuple[int, ...]], weights: dict[str, Tensor]) -> None:

@@ -1,28 +1,40 @@
 """A policy on disk: `policy.safetensors` (weights) and `policy.json` (its card). Loading executes nothing.
 
 A bundle is a folder with the two files, or a zip of them. It may come from anyone: see
-xmarl_bench.policy.untrusted for what is refused before anything is built.
+xmarl_bench.policy.untrusted for what is refused before anything is built. torch is waited for where a network
+is saved or built, not where a bundle is read.
 """
 
 from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors import SafetensorError
-from safetensors.torch import load, save
+from safetensors.numpy import load
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.field_types import Agents, Name, Sha256
 from xmarl_bench.files import write_atomically
-from xmarl_bench.policy.architecture import AnyArchitecture, CodeArchitecture
-from xmarl_bench.policy.build import LayeredPolicy, build_policy, weight_shapes, weights_of
-from xmarl_bench.policy.network import GraphPolicy
+from xmarl_bench.policy.architecture import (
+    AnyArchitecture,
+    Architecture,
+    CodeArchitecture,
+    LayeredArchitecture,
+)
+from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS, check_weights, read_member
 from xmarl_bench.strict_json import first_error, parse_json, shown
+
+if TYPE_CHECKING:
+    from xmarl_bench.policy.build import LayeredPolicy
+    from xmarl_bench.policy.network import GraphPolicy
+
+Weights = dict[str, NDArray[np.float32]]
 
 
 class PolicyCard(BaseModel):
@@ -43,6 +55,10 @@ class PolicyCard(BaseModel):
 
 def save_policy(folder: Path, policy: GraphPolicy | LayeredPolicy, **card: Any) -> PolicyCard:
     """Write weights and card into `folder` (made if missing), each file whole or not at all."""
+    from safetensors.torch import save
+
+    from xmarl_bench.policy.build import weights_of
+
     weights = save({key: tensor.contiguous() for key, tensor in weights_of(policy).items()})
     record = PolicyCard(
         architecture=policy.architecture, weights_sha256=hashlib.sha256(weights).hexdigest(), **card
@@ -55,22 +71,7 @@ def save_policy(folder: Path, policy: GraphPolicy | LayeredPolicy, **card: Any) 
 
 def load_card(bundle: Path) -> PolicyCard:
     """Read and validate `policy.json` alone. Raises InputError."""
-    data = read_member(bundle, CARD)
-    try:
-        parse_json(data, max_bytes=MAX_BYTES[CARD])
-        card = PolicyCard.model_validate_json(data)
-    except ValidationError as error:
-        said, where = first_error(error)
-        said, where = shown(said, 200).strip("'\""), shown(where or "the whole file")
-        raise InputError(f"{bundle / CARD} is not a policy card: {said} at {where}.") from None
-    except ValueError as error:
-        raise InputError(f"{bundle / CARD} is not a policy card: it {error}.") from None
-    if isinstance(card.architecture, CodeArchitecture):
-        raise InputError(
-            f"{bundle / CARD} is not a policy card: its architecture is code, and a bundle holds none: give "
-            f"the code itself, as module:factory with --trust-code."
-        )
-    return card
+    return parse_card(read_member(bundle, CARD), str(bundle / CARD))
 
 
 def load_policy(bundle: Path) -> tuple[GraphPolicy | LayeredPolicy, PolicyCard]:
@@ -80,16 +81,51 @@ def load_policy(bundle: Path) -> tuple[GraphPolicy | LayeredPolicy, PolicyCard]:
     names, or where a weight is not finite.
     """
     card = load_card(bundle)
-    assert not isinstance(card.architecture, CodeArchitecture)
-    where = str(bundle / WEIGHTS)
-    expected = weight_shapes(card.architecture)
-    data = read_member(bundle, WEIGHTS)
-    check_weights(data, expected, where)
+    weights = parse_weights(read_member(bundle, WEIGHTS), card, str(bundle / WEIGHTS))
+    return build(card, weights), card
+
+
+def build(card: PolicyCard, weights: Weights) -> GraphPolicy | LayeredPolicy:
+    """The network of a card and of weights that were parsed for it, in evaluation mode."""
+    import torch
+
+    from xmarl_bench.policy.build import build_policy
+
+    return build_policy(
+        _closed(card.architecture), {name: torch.tensor(array) for name, array in weights.items()}
+    )
+
+
+def parse_card(data: bytes, where: str) -> PolicyCard:
+    """The card of a bundle. Raises InputError, which says `where` it lies."""
+    try:
+        parse_json(data, max_bytes=MAX_BYTES[CARD])
+        card = PolicyCard.model_validate_json(data)
+    except ValidationError as error:
+        said, place = first_error(error)
+        said, place = shown(said, 200).strip("'\""), shown(place or "the whole file")
+        raise InputError(f"{where} is not a policy card: {said} at {place}.") from None
+    except ValueError as error:
+        raise InputError(f"{where} is not a policy card: it {error}.") from None
+    if isinstance(card.architecture, CodeArchitecture):
+        raise InputError(
+            f"{where} is not a policy card: its architecture is code, and a bundle holds none: give "
+            f"the code itself, as module:factory with --trust-code."
+        )
+    return card
+
+
+def parse_weights(data: bytes, card: PolicyCard, where: str) -> Weights:
+    """The weights that a card is of, by the names and of the shapes of `weight_shapes`, all finite.
+
+    Raises InputError, which says `where` they lie, for anything else.
+    """
+    check_weights(data, weight_shapes(_closed(card.architecture)), where)
     try:
         weights = load(data)
     except SafetensorError as error:
         raise InputError(f"{where} cannot be read as safetensors ({shown(error)}): save it again.") from None
-    if not all(bool(torch.isfinite(tensor).all()) for tensor in weights.values()):
+    if not all(bool(np.isfinite(array).all()) for array in weights.values()):
         raise InputError(f"{where} holds weights that are NaN or infinite: train or save it again.")
     digest = hashlib.sha256(data).hexdigest()
     if digest != card.weights_sha256:
@@ -97,4 +133,10 @@ def load_policy(bundle: Path) -> tuple[GraphPolicy | LayeredPolicy, PolicyCard]:
             f"{where} has sha256 {digest[:12]}..., its card says {card.weights_sha256[:12]}...: "
             f"the two files do not belong together."
         )
-    return build_policy(card.architecture, weights), card
+    return weights
+
+
+def _closed(architecture: AnyArchitecture) -> Architecture | LayeredArchitecture:
+    """Of the closed list: `parse_card` takes no other."""
+    assert not isinstance(architecture, CodeArchitecture)
+    return architecture

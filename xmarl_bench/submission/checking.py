@@ -6,7 +6,6 @@ up here.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ from pydantic import ValidationError
 
 from xmarl_bench.entry import Entry, PolicyRecord, Verification, parse_entry
 from xmarl_bench.errors import InputError
-from xmarl_bench.files import write_atomically
+from xmarl_bench.policy.bundle import PolicyCard, Weights, build, parse_card, parse_weights
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 from xmarl_bench.strict_json import MAX_BYTES, first_error, parse_json, shown
 from xmarl_bench.submission.archive import MANIFEST, kind_of, read_files
@@ -25,7 +24,7 @@ from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
 from xmarl_bench.submission.recompute import Difference, recompute_findings, recomputed
 
 if TYPE_CHECKING:
-    from xmarl_bench.policy import Policy, PolicyCard
+    from xmarl_bench.policy import Policy
 
 MAX_FINDINGS = 20  # of one file: the first ones say enough
 
@@ -44,17 +43,16 @@ class Checked:
     def is_bundle(self) -> bool:
         return self.path.suffix == ".zip" or (self.path / MANIFEST).is_file()
 
-    def load_policy(self, name: str) -> tuple[Policy, PolicyCard]:
-        """A policy of the bundle. Raises InputError where it cannot be loaded; this waits for torch."""
-        from xmarl_bench.policy import load_policy
+    def read_policy(self, name: str) -> tuple[PolicyCard, Weights]:
+        """A policy of the bundle, as data. Raises InputError where one could not be built of it."""
+        card_data, weights_data = self.policies[name]
+        card = parse_card(card_data, CARD)
+        return card, parse_weights(weights_data, card, WEIGHTS)
 
-        with tempfile.TemporaryDirectory() as folder:
-            for file, data in zip((CARD, WEIGHTS), self.policies[name], strict=True):
-                write_atomically(Path(folder) / file, data)
-            try:
-                return load_policy(Path(folder))
-            except InputError as error:
-                raise InputError(str(error).replace(folder + "/", "")) from None
+    def load_policy(self, name: str) -> tuple[Policy, PolicyCard]:
+        """A policy of the bundle, built: this waits for torch. Raises InputError as `read_policy` does."""
+        card, weights = self.read_policy(name)
+        return build(card, weights), card
 
 
 def check(path: Path) -> Checked:
@@ -80,7 +78,6 @@ def check(path: Path) -> Checked:
         for file, entry in checked.entries.items():
             checked.recomputed[file] = list(recomputed(entry))
             _add(checked, file, recompute_findings(checked.recomputed[file]))
-    if not checked.findings:  # and only now is torch waited for
         for policy in checked.policies:
             _add(checked, f"policies/{policy}", _policy_findings(checked, policy))
     return checked
@@ -170,15 +167,15 @@ def _manifest_findings(files: dict[str, bytes]) -> Iterator[str]:
 
 
 def _policy_findings(checked: Checked, name: str) -> Iterator[str]:
-    """Can the policy be loaded, and is it the one that the entries are of?"""
+    """Could the policy be built, and is it the one that the entries are of?"""
     try:
-        _, loaded = checked.load_policy(name)
+        card, _ = checked.read_policy(name)
     except InputError as error:
         yield str(error)
         return
     for file, entry in checked.entries.items():
         if entry.policy.name == name:  # the folder's, as cards may say another
-            yield from _record_findings(entry, file, loaded)
+            yield from _record_findings(entry, file, card)
 
 
 def _record_findings(entry: Entry, file: str, card: PolicyCard) -> Iterator[str]:

@@ -17,6 +17,7 @@ from tests.conftest import RunCli
 from xmarl_bench.controls import CONTROLS, INVERTED
 from xmarl_bench.entry import Entry, Verification, read_entry, write_entry
 from xmarl_bench.files import pretty_json
+from xmarl_bench.policy.untrusted import WEIGHTS
 from xmarl_bench.submission import consistency
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.checking import check
@@ -177,14 +178,25 @@ def test_a_policy_under_the_name_of_another_is_found(files: Mapping[str, bytes],
     assert all("policies/small: its name is not the policy.name of entries/" in each for each in findings)
 
 
-def test_validating_waits_for_no_torch_until_a_policy_is_loaded(tmp_path: Path, entries: list[Entry]) -> None:
-    path = write_entry(tmp_path, entries[0])
+def test_validating_waits_for_no_torch(
+    tmp_path: Path, entries: list[Entry], files: Mapping[str, bytes], pack: Pack
+) -> None:
+    """Whatever it is, and whatever is found: the command, in a process of its own."""
+    entry, bundle = write_entry(tmp_path, entries[0]), pack(files)
+    weights = "policies/small/policy.safetensors"
+    broken = pack(with_manifest({**files, weights: files[weights][:-4]}), "broken.zip")
     code = (
-        "import sys; from pathlib import Path; from xmarl_bench.submission.checking import check;"
-        f"assert check(Path({str(path)!r})).findings == [];"
-        "assert not {'torch', 'torch_geometric', 'scipy.stats'} & sys.modules.keys()"
+        "import sys; from xmarl_bench.cli import main\n"
+        "try:\n    main()\nexcept SystemExit as stopped:\n    code = stopped.code\n"
+        "waited = {'torch', 'torch_geometric', 'scipy', 'joblib'} & sys.modules.keys()\n"
+        "sys.exit(f'waited for {waited}' if waited else code)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    for paths, exit_code in (([entry, bundle], 0), ([broken], 1)):
+        ran = subprocess.run(
+            [sys.executable, "-c", code, "validate", *map(str, paths)], capture_output=True, text=True
+        )
+        assert (ran.returncode, ran.stderr) == (exit_code, "")
+    assert f"{broken}: policies/small: {WEIGHTS} cannot be read as safetensors" in ran.stdout
 
 
 def test_controls_are_named_as_they_are() -> None:

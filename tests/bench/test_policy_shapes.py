@@ -1,0 +1,67 @@
+"""Shapes by arithmetic are those of the networks that torch builds."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xmarl_bench.policy import Architecture, GraphLayer, GraphPolicy, LayeredArchitecture
+from xmarl_bench.policy.layers import LayeredNetwork
+from xmarl_bench.policy.shapes import Shapes, weight_shapes
+
+widths = st.lists(st.integers(1, 9), max_size=3).map(tuple)
+layers = st.builds(
+    GraphLayer,
+    conv=st.sampled_from(["GATConv", "GATv2Conv", "TransformerConv"]),
+    width=st.integers(1, 5),
+    heads=st.integers(1, 3),
+    concat=st.booleans(),
+    residual=st.booleans(),
+    activation=st.just("tanh"),
+)
+
+
+def built(network: type[GraphPolicy] | type[LayeredNetwork], architecture: object) -> Shapes:
+    with torch.device("meta"):
+        state = network(architecture).state_dict()  # type: ignore[arg-type]
+    return {name: tuple(tensor.shape) for name, tensor in state.items()}
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 7), st.integers(1, 3), widths, st.integers(1, 9), widths)
+def test_one_layer(
+    obs_dim: int, action_dim: int, encoder: tuple[int, ...], gat_width: int, decoder: tuple[int, ...]
+) -> None:
+    architecture = Architecture(
+        obs_dim=obs_dim, action_dim=action_dim, encoder=encoder, encoder_activation="relu",
+        gat_width=gat_width, gat_activation="tanh", decoder=decoder, decoder_activation="elu",
+    )  # fmt: skip
+    assert weight_shapes(architecture) == built(GraphPolicy, architecture)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    widths,
+    st.lists(layers, min_size=1, max_size=3).map(tuple),
+    widths,
+    st.sampled_from(["tanh_normal", "normal", "deterministic"]),
+)
+def test_layers(
+    encoder: tuple[int, ...], layers: tuple[GraphLayer, ...], decoder: tuple[int, ...], distribution: str
+) -> None:
+    architecture = LayeredArchitecture.model_validate(
+        {"obs_dim": 4, "encoder": encoder, "layers": layers, "decoder": decoder, "distribution": distribution}
+    )
+    assert weight_shapes(architecture) == built(LayeredNetwork, architecture)
+
+
+def test_torch_is_not_waited_for() -> None:
+    code = (
+        "import sys, xmarl_bench.policy.bundle;"
+        "assert not {'torch', 'torch_geometric', 'scipy'} & sys.modules.keys()"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

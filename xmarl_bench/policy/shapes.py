@@ -1,0 +1,72 @@
+"""Names and shapes of an architecture's tensors, by arithmetic: what a stranger's weights are held to.
+
+No network is made and no torch is waited for. Names are those of `GraphPolicy` and `LayeredNetwork`, with
+torch_geometric's within a layer; tests hold both to the networks themselves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy.architecture import Architecture, GraphLayer, LayeredArchitecture
+
+MAX_PARAMETERS = 16 * 1024 * 1024  # 64 MB of float32
+Shapes = dict[str, tuple[int, ...]]
+
+
+def weight_shapes(architecture: Architecture | LayeredArchitecture) -> Shapes:
+    """The shape of every tensor by its name. Raises InputError for more than MAX_PARAMETERS numbers."""
+    a = architecture
+    encoder = (a.obs_dim, *a.encoder)
+    shapes = _mlp("encoder", encoder)
+    if isinstance(a, Architecture):
+        layer = GraphLayer(conv="GATv2Conv", width=a.gat_width, activation=a.gat_activation)
+        shapes |= _layer("gat", encoder[-1], layer)
+        width = a.gat_width
+    else:
+        widths = [encoder[-1], *(layer.out_width for layer in a.layers)]
+        for k, layer in enumerate(a.layers):
+            shapes |= _layer(f"layers.{k}", widths[k], layer)
+        width = widths[-1]
+    raw_width = a.action_dim if a.distribution == "deterministic" else 2 * a.action_dim
+    shapes |= _mlp("decoder", (width, *a.decoder, raw_width))
+    total = sum(math.prod(shape) for shape in shapes.values())
+    if total > MAX_PARAMETERS:
+        raise InputError(
+            f"an architecture of {total} parameters is more than the {MAX_PARAMETERS} that are taken: "
+            f"make it narrower."
+        )
+    return shapes
+
+
+def _mlp(name: str, widths: Sequence[int]) -> Shapes:
+    """Modules are counted with the activations between them, so linear layers are 0, 2, 4."""
+    shapes: Shapes = {}
+    for k, (n_in, n_out) in enumerate(pairwise(widths)):
+        shapes |= _linear(f"{name}.{2 * k}", n_in, n_out)
+    return shapes
+
+
+def _linear(name: str, n_in: int, n_out: int, *, bias: bool = True) -> Shapes:
+    return {f"{name}.weight": (n_out, n_in), **({f"{name}.bias": (n_out,)} if bias else {})}
+
+
+def _layer(name: str, n_in: int, layer: GraphLayer) -> Shapes:
+    every_head = layer.width * layer.heads
+    coefficients = (1, layer.heads, layer.width)
+    if layer.conv == "TransformerConv":  # it holds the map of its own node whether it adds it or not
+        shapes = _linear(f"{name}.lin_skip", n_in, layer.out_width)
+        for part in ("lin_key", "lin_query", "lin_value"):
+            shapes |= _linear(f"{name}.{part}", n_in, every_head)
+        return shapes
+    shapes = {f"{name}.bias": (layer.out_width,)}
+    if layer.residual:
+        shapes |= _linear(f"{name}.res", n_in, layer.out_width, bias=False)
+    if layer.conv == "GATConv":
+        shapes |= {f"{name}.att_src": coefficients, f"{name}.att_dst": coefficients}
+        return shapes | _linear(f"{name}.lin", n_in, every_head, bias=False)
+    shapes[f"{name}.att"] = coefficients
+    return shapes | _linear(f"{name}.lin_l", n_in, every_head) | _linear(f"{name}.lin_r", n_in, every_head)

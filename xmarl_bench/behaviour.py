@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,20 +81,6 @@ class BehaviourBlock:
             return error
         teams = [_values(*pair) for pair in zip(episodes[:n], episodes[n:], strict=True)]
         return Played(teams, time.perf_counter() - started)
-
-
-def blocks(
-    policy: Policy,
-    explainer: Explainer | None,
-    task: str,
-    n_agents: int,
-    seeds: Sequence[int],
-    seed: int,
-    max_cycles: int | None,
-) -> Iterator[BehaviourBlock]:
-    for first in range(0, len(seeds), BLOCK):
-        part = tuple(seeds[first : first + BLOCK])
-        yield BehaviourBlock(policy, explainer, task, n_agents, part, seed, max_cycles)
 
 
 class _BlockAct:

@@ -15,6 +15,7 @@ from xmarl_bench.commands.list import list_
 from xmarl_bench.commands.new import new
 from xmarl_bench.commands.render import render
 from xmarl_bench.commands.score import score
+from xmarl_bench.commands.status import status
 from xmarl_bench.commands.study import study
 from xmarl_bench.commands.submit import submit
 from xmarl_bench.commands.validate import validate
@@ -36,6 +37,7 @@ app.command()(compare)
 app.command()(convert)
 app.command()(new)
 app.command()(study)
+app.command()(status)
 app.command()(submit)
 app.command()(validate)
 app.command()(verify)
@@ -50,6 +52,7 @@ def main() -> None:
         print(f"xmarl-bench: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
+        print("xmarl-bench: stopped; scores that are finished are kept for the next run.", file=sys.stderr)
         raise SystemExit(130) from None
 
 

@@ -12,12 +12,14 @@ import torch
 from xmarl_envs import TASKS
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.fan_out import check_parallel
+from xmarl_bench.fan_out import in_order
 from xmarl_bench.metrics import attention_entropy
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell, Sampling
-from xmarl_bench.rollout import Episode, Rollout, mean_metrics, play_all
+from xmarl_bench.rollout import Episode, Rollout, check_parallel, mean_metrics
+from xmarl_bench.work import BLOCK
+from xmarl_bench.workers import ONE_PROCESS, Workers
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ def evaluate(
     policies: Sequence[tuple[Policy, Cell]],
     sampling: Sampling,
     *,
-    jobs: int = 1,
+    workers: Workers = ONE_PROCESS,
     parallel_episodes: int = 50,
     progress: bool = False,
 ) -> list[Performance]:
@@ -58,18 +60,18 @@ def evaluate(
 
     The same episodes as scoring plays with the same seed. `sampling.timesteps` has no meaning here.
     """
-    check_parallel(jobs, parallel_episodes)
+    check_parallel(parallel_episodes)
     seeds, max_cycles = tuple(sampling.seeds), sampling.max_cycles
-    episodes = play_all(
-        [
-            Rollout(policy, cell.task, cell.n_agents, seeds, max_cycles, messages)
-            for policy, cell in policies
-            for messages in (True, False)
-        ],
-        jobs=jobs,
-        parallel_episodes=parallel_episodes,
-        progress="evaluate" if progress else None,
-    )
+    width = min(parallel_episodes, BLOCK)
+    units = [
+        Rollout(policy, cell.task, cell.n_agents, seeds[first : first + width], max_cycles, messages=messages)
+        for policy, cell in policies
+        for messages in (True, False)
+        for first in range(0, len(seeds), width)
+    ]
+    played = in_order(Rollout.play, units, workers=workers, progress="evaluate" if progress else None)
+    every = iter([episode for part in played for episode in part])
+    episodes = [[next(every) for _ in seeds] for _ in range(2 * len(policies))]
     performances = []
     for (policy, cell), heard, unheard in zip(policies, episodes[::2], episodes[1::2], strict=True):
         performances.append(

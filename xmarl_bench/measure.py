@@ -39,12 +39,19 @@ class Explained:
 
 
 @dataclass(frozen=True)
-class Measured:
+class Shared:
+    """What an episode gives whoever explains it."""
+
     timesteps: int  # explained
-    explained: dict[str, Explained | InputError]  # by explainer; the error of one does not stop the others
     controls: dict[str, Values]  # of `ExplanationRow`, by control; no oracle where there is none
     policy: Values  # what is the policy's alone
-    shared_seconds: float  # for all but the explainers' masks and metrics
+    seconds: float  # for all but the explainers' masks and metrics
+
+
+@dataclass(frozen=True)
+class Measured:
+    explained: dict[str, Explained | InputError]  # by explainer; the error of one does not stop the others
+    shared: Shared | None  # None where it was not asked for
 
 
 @dataclass(frozen=True)
@@ -57,6 +64,7 @@ class Unit:
     seed: int  # of the run
     timesteps: int | None  # at most so many; None is all
     sanity: bool  # check stability between seeds and shuffled weights too
+    shared: bool = True  # measure the controls and the policy too
 
     def run(self) -> Measured:
         with one_thread():
@@ -67,11 +75,14 @@ class Unit:
             started = time.perf_counter()
             rng = np.random.default_rng(derived_seed("ties", self.seed, self.episode.seed))
             states = States.of(policy, observations, rng)
-            controls = {name: states.mask_metrics(mask) for name, mask in self._control_masks(states).items()}
-            policy_metrics = states.policy_metrics()
-            shared_seconds = time.perf_counter() - started
+            shared = self._shared(states, started) if self.shared else None
             explained = {each.name: self._explain(each, states) for each in self.explainers}
-        return Measured(len(chosen), explained, controls, policy_metrics, shared_seconds)
+        return Measured(explained, shared)
+
+    def _shared(self, states: States, started: float) -> Shared:
+        controls = {name: states.mask_metrics(mask) for name, mask in self._control_masks(states).items()}
+        policy = states.policy_metrics()
+        return Shared(len(states.observations), controls, policy, time.perf_counter() - started)
 
     def _explain(self, explainer: Explainer, states: States) -> Explained | InputError:
         try:

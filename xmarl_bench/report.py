@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import sys
+import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.table import Table
@@ -19,8 +21,11 @@ from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.registry import explainer_names, find_explainer, registered_policies
+from xmarl_bench.run_record import Progress, RunRecord
+from xmarl_bench.scoring import Failed
 
 Row = dict[str, Any]
+Outcome = TypeVar("Outcome")
 # Heading -> metric; "" is the interval of the metric that rows are ordered by.
 _POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_seed", "success", "code")
 SCORE_COLUMNS = {
@@ -231,3 +236,62 @@ def console() -> Console:
 
 def print_json(value: Any) -> None:
     print(json.dumps(value, indent=2, allow_nan=False))
+
+
+def told(outcomes: Iterator[Outcome], asked: int, every: float = 20.0) -> Iterator[Outcome]:
+    """The same, and in a log, which shows no progress bar, a line on stderr about every so many seconds."""
+    started = said = time.monotonic()
+    for done, outcome in enumerate(outcomes, start=1):
+        now = time.monotonic()
+        if now - said > every and not sys.stderr.isatty():
+            said, gone = now, (now - started) / 60
+            print(f"{done} of {asked} scored, {gone:.1f} min gone.", file=sys.stderr, flush=True)
+        yield outcome
+
+
+def exit_for_failures(failed: Sequence[Failed], asked: int) -> None:
+    """Say on stderr what failed and leave with exit code 1; nothing where nothing did.
+
+    Raises InputError where everything did, for the first reason.
+    """
+    if not failed:
+        return
+    if len(failed) == asked:
+        raise InputError(failed[0].error)
+    for each in failed:
+        print(f"failed: {each}", file=sys.stderr)
+    print(
+        f"{len(failed)} of {asked} failed; everything else is done. The same command tries them again.",
+        file=sys.stderr,
+    )
+    raise SystemExit(1)
+
+
+def run_rows(records: Sequence[tuple[RunRecord, Progress]]) -> list[Row]:
+    """How far runs are, as `xmarl-bench status` shows them."""
+    states = {True: "running", False: "stopped", None: "on another machine"}
+    return [
+        {
+            "folder": record.out,
+            "command": record.command,
+            "started": record.started,
+            "state": "finished" if progress.done == progress.pieces else states[progress.running],
+            "cells": [progress.done, progress.pieces],
+            "entries": [progress.entries, len(record.asked)],
+            "explainers": {name: list(counts) for name, counts in progress.explainers.items()},
+            "failures": sorted(set(progress.failures.values())),
+        }
+        for record, progress in records
+    ]
+
+
+def print_runs(rows: Sequence[Row]) -> None:
+    for row in rows:
+        (done, cells), (complete, entries) = row["cells"], row["entries"]
+        print(f"{row['folder']}: {row['state']}, {done} of {cells} cells, {complete} of {entries} entries.")
+        print(f"  {row['command']} ({row['started']})")
+        for name, (done, cells) in row["explainers"].items():
+            if done < cells:
+                print(f"  {name}: {done} of {cells}")
+        for failure in row["failures"]:
+            print(f"  failed: {failure.splitlines()[0]}")

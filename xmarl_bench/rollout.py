@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from xmarl_envs import TASKS, Step, Task, VectorEnv, make_task
 
-from xmarl_bench.fan_out import fan_out
+from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread
 
@@ -143,6 +143,7 @@ class Rollout:
     seeds: tuple[int, ...]
     max_cycles: int | None
     messages: bool = True  # False: every agent hears itself only
+    parallel_episodes: int | None = None  # None: all of them
 
     def play(self) -> list[Episode]:
         with one_thread():
@@ -150,25 +151,19 @@ class Rollout:
                 make_task(self.task, self.n_agents),
                 copy.deepcopy(self.policy),  # memory as torch lays it out, also after a pickle
                 self.seeds,
-                parallel_episodes=len(self.seeds),
+                parallel_episodes=self.parallel_episodes or len(self.seeds),
                 max_cycles=self.max_cycles,
                 mask=None if self.messages else torch.eye(self.n_agents),
             )
 
-    def split(self, jobs: int, parallel_episodes: int) -> list[Rollout]:
-        """The same episodes in parts of at most `parallel_episodes`, and enough of them for all jobs."""
-        width = min(parallel_episodes, -(-len(self.seeds) // jobs))
-        firsts = range(0, len(self.seeds), width)
-        return [replace(self, seeds=self.seeds[first : first + width]) for first in firsts]
 
-
-def play_all(
-    rollouts: Sequence[Rollout], *, jobs: int, parallel_episodes: int, progress: str | None = None
-) -> list[list[Episode]]:
-    """The episodes of each rollout, the same for any number of processes and parallel episodes."""
-    parts = [rollout.split(jobs, parallel_episodes) for rollout in rollouts]
-    played = fan_out(Rollout.play, [unit for part in parts for unit in part], jobs=jobs, progress=progress)
-    return [[episode for _ in part for episode in next(played)] for part in parts]
+def check_parallel(parallel_episodes: int) -> None:
+    """Raises InputError for a number of episodes side by side that is none."""
+    if parallel_episodes < 1:
+        raise InputError(
+            f"parallel_episodes must be at least 1, got {parallel_episodes}: "
+            f"give the number of episodes to step side by side."
+        )
 
 
 class _Recorder:

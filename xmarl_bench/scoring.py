@@ -1,27 +1,48 @@
-"""Scores explainers on policies: rolls the policies out, explains and measures each episode, makes entries.
+"""Scores explainers on policies: has the pieces computed that are missing, and makes entries of them.
 
-Work is fanned out by episodes. Bytes of an entry outside `provenance` and `cost` are the same for any
-number of jobs and parallel episodes.
+Bytes of an entry outside `provenance` and `cost` are the same for any workers, any number of parallel
+episodes, and whether it was made in one go or of what earlier runs had finished.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import islice
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
-from xmarl_bench.cell_result import Done, cell_result, cost_of
+from xmarl_bench.cell_result import Controls, cell_result, total_cost
 from xmarl_bench.code_origin import origin_of
 from xmarl_bench.effect import NORMALISER
-from xmarl_bench.entry import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry
-from xmarl_bench.fan_out import check_parallel, fan_out
+from xmarl_bench.entry import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry, parse_entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.explainer import Explainer
+from xmarl_bench.files import canonical_json
+from xmarl_bench.finished import Finished
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy_module import PolicyModule
 from xmarl_bench.protocol import DEFINITIONS
 from xmarl_bench.provenance import now, provenance
 from xmarl_bench.registry import FoundExplainer, as_found, find_explainer, open_policy
 from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.work import check_explainers, fit_explainers, needs, pieces, roll_out_worlds, run, wanted
+from xmarl_bench.rollout import check_parallel
+from xmarl_bench.run_record import RunRecord
+from xmarl_bench.store import Store
+from xmarl_bench.sweep import Sweep
+from xmarl_bench.work import Plan
+from xmarl_bench.workers import ONE_PROCESS, Workers
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A request of which there is no entry, and why."""
+
+    request: Request
+    error: str
+
+    def __str__(self) -> str:
+        return f"{self.request.explainer.explainer.name} on {self.request.card.name}: {self.error}"
 
 
 def score(
@@ -40,6 +61,7 @@ def score(
     progress: bool = False,
     submitter: str | None = None,
     trust_code: bool = False,
+    cells: Path | None = None,
 ) -> Entry:
     """Score one explainer on one policy in one cell.
 
@@ -55,8 +77,9 @@ def score(
         jobs: processes.
         parallel_episodes: episodes stepped side by side in a process.
         trust_code: run the code that a policy brings, where `policy` names such a one.
+        cells: folder in which finished work is kept and looked for, see `Store`; by default nothing is kept.
 
-    Raises InputError for anything wrong with these.
+    Raises InputError for anything wrong with these, and where the explainer fails.
     """
     if isinstance(policy, str | Path):
         network, card = open_policy(str(policy), trust_code=trust_code)
@@ -68,52 +91,95 @@ def score(
     cell = Cell(card.task if task is None else task, card.n_agents if n_agents is None else n_agents)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
     request = Request(network, card, found, (cell,), sampling, behaviour_episodes)
-    entries = score_requests(
-        [request], jobs=jobs, parallel_episodes=parallel_episodes, progress=progress, submitter=submitter
+    outcomes = score_requests(
+        [request],
+        workers=Workers(jobs),
+        parallel_episodes=parallel_episodes,
+        progress=progress,
+        submitter=submitter,
+        store=None if cells is None else Store(cells),
     )
-    return next(iter(entries))
+    return next(entries_of(outcomes))
 
 
 def score_requests(
     requests: Sequence[Request],
     *,
-    jobs: int = 1,
+    workers: Workers = ONE_PROCESS,
     parallel_episodes: int = 50,
     progress: bool = False,
     submitter: str | None = None,
-) -> Iterator[Entry]:
-    """Yield an entry per request, in order, each as soon as it is complete.
+    store: Store | None = None,
+    fresh: bool = False,
+    out: Path | None = None,
+) -> Iterator[Entry | Failed]:
+    """Yield an entry per request, in order, each as soon as it is complete; or why there is none.
 
-    Every explainer is first tried on one timestep of every policy it is to explain, so that one that does
-    not work is refused before anything is yielded. One that fails later stops the run at its entry.
+    store: where finished work is looked for and kept, a temporary one by default. fresh: compute again what
+    it holds. out: where the entries will go, for `xmarl-bench status`. Raises InputError before anything is
+    yielded where an explainer works on no policy at all, where two explainers share a name, and where
+    results cannot be written.
     """
-    check_parallel(jobs, parallel_episodes)
-    started = now()
-    work = fit_explainers(wanted(requests))
-    episodes = roll_out_worlds(
-        requests, jobs=jobs, parallel_episodes=parallel_episodes, progress="roll out" if progress else None
-    )
-    check_explainers(work, episodes)
-    planned = {key: list(pieces(key, explainers, episodes)) for key, explainers in work.items()}
-    results = fan_out(
-        run,
-        [piece for each in planned.values() for piece in each],
-        jobs=jobs,
-        progress="explain" if progress else None,
-    )
-    waiting = iter(planned.items())
-    done = Done(episodes)
+    check_parallel(parallel_episodes)
+    explainers, started = _by_name(requests), now()
+    with ExitStack() as stack:
+        if store is None:
+            store = Store(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="xmarl-bench-"))))
+        store.prepare()
+        plans = [Plan.of(request, submitter) for request in requests]
+        if fresh:
+            for key in {key for plan in plans for key in (plan.key, *plan.piece_keys)}:
+                store.remove(key)
+        if out is not None:
+            RunRecord.of(plans, out, started).write(store)
+        finished, controls = Finished(store), Controls()
+        kept = {plan.key for plan in plans if store.has(plan.key)}
+        proven = {plan.explainer for plan in plans if plan.key in kept}
+        sweep = Sweep(finished, explainers, workers, parallel_episodes, progress, proven)
+        settled = sweep.compute(piece for plan in plans if plan.key not in kept for piece in plan)
+        for plan in plans:
+            known = store.read(plan.key)
+            if known is not None:
+                yield parse_entry(known)
+                continue
+            while not sweep.unsettled.isdisjoint(plan.piece_keys):
+                next(settled)
+            error = next((sweep.errors[piece.key] for piece in plan if piece.key in sweep.errors), None)
+            if error is not None:
+                yield Failed(plan.request, error)
+                continue
+            entry = _entry(plan, finished, controls, started, workers.jobs or 1, submitter)
+            store.write(plan.key, canonical_json(entry.model_dump(mode="json")))
+            yield entry
+
+
+def entries_of(outcomes: Iterable[Entry | Failed]) -> Iterator[Entry]:
+    """The entries, where one that failed is one too many: raises InputError with its error."""
+    for outcome in outcomes:
+        if isinstance(outcome, Failed):
+            raise InputError(outcome.error)
+        yield outcome
+
+
+def _by_name(requests: Sequence[Request]) -> dict[str, Explainer]:
+    """Raises InputError where two explainers share a name: entries are filed by it."""
+    explainers: dict[str, Explainer] = {}
     for request in requests:
-        for cell in request.cells:
-            for key, _, _ in needs(request, cell):
-                while key not in done.results:
-                    other, its_pieces = next(waiting)
-                    done.results[other] = list(islice(results, len(its_pieces)))
-        yield _entry(request, done, started, jobs, submitter)
+        explainer = request.explainer.explainer
+        if explainers.setdefault(explainer.name, explainer) != explainer:
+            raise InputError(f"two explainers are named {explainer.name!r}: rename one.")
+    return explainers
 
 
-def _entry(request: Request, done: Done, started: str, jobs: int, submitter: str | None) -> Entry:
+def _entry(
+    plan: Plan, finished: Finished, controls: Controls, started: str, jobs: int, submitter: str | None
+) -> Entry:
+    request = plan.request
     card, found, sampling = request.card, request.explainer, request.sampling
+    cells = [
+        cell_result(request, cell, needed, finished, controls)
+        for cell, needed in zip(request.cells, plan.needs, strict=True)
+    ]
     return make_entry(
         submitter=submitter,
         policy=PolicyRecord(
@@ -133,8 +199,8 @@ def _entry(request: Request, done: Done, started: str, jobs: int, submitter: str
             timesteps=sampling.timesteps,
             definitions=DEFINITIONS,
         ),
-        results=tuple(cell_result(request, cell, done) for cell in request.cells),
-        cost=cost_of(request, done),
+        results=tuple(result for result, _ in cells),
+        cost=total_cost([cost for _, cost in cells]),
         provenance=provenance(started, jobs),
     )
 

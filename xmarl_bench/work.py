@@ -1,152 +1,161 @@
-"""The work that requests ask for: each piece once, however many entries use it, in the order of need.
+"""The work that requests ask for, cut into pieces: what each is, and the name of its result in a store.
 
-Explainers on the same states are explained and measured together, for they share F(1), the oracle and the
-controls. No score depends on what it is computed together with.
+A piece is a block of consecutive episodes of a policy: played; measured without any explainer (`shared`);
+explained by one explainer; or acted out on an explainer's masks (`behaviour`). Requests that need the same
+piece share it, in one run and between runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
 
-from xmarl_bench.behaviour import BehaviourBlock, Played, blocks
-from xmarl_bench.errors import InputError
-from xmarl_bench.explainer import Explainer
-from xmarl_bench.fitting import fitted
-from xmarl_bench.measure import Measured, Unit
+from xmarl_bench.behaviour import BLOCK as BEHAVIOUR_BLOCK
+from xmarl_bench.content_key import content_key, explainer_key, policy_key
+from xmarl_bench.entry import SCHEMA_VERSION
 from xmarl_bench.policy import Policy
-from xmarl_bench.protocol import SANITY_EPISODES
 from xmarl_bench.request import Cell, Request
-from xmarl_bench.rollout import Episode, Rollout, play_all
+
+BLOCK = 10  # episodes: what a run that is killed has to do again, per worker
+Kind = Literal["episodes", "shared", "explained", "behaviour"]
 
 
 @dataclass(frozen=True)
 class World:
     """What an episode depends on beside its number; all explainers of a policy share its episodes."""
 
-    policy: Policy
+    policy: Policy = field(compare=False)
+    name: str = field(compare=False)  # of the policy, for people
+    policy_key: str
     cell: Cell
     seed: int
     max_cycles: int | None
 
-
-@dataclass(frozen=True)
-class States:
-    """The states explained, of each episode of a world."""
-
-    world: World
-    timesteps: int | None
+    @classmethod
+    def of(cls, request: Request, cell: Cell) -> World:
+        card, sampling = request.card, request.sampling
+        return cls(request.policy, card.name, policy_key(card), cell, sampling.seed, sampling.max_cycles)
 
 
 @dataclass(frozen=True)
-class Behaviours:
-    """The explainer on whose masks the team of a world acts."""
+class Block:
+    """Consecutive episodes of a world."""
 
     world: World
-    explainer: str | None  # None: messages chosen at random
+    first: int  # number of the first in its run
+    seeds: tuple[int, ...]  # of the environment
+
+    def key(self) -> list[str | int | list[int] | None]:
+        world = self.world
+        where = [world.policy_key, world.cell.task, world.cell.n_agents]
+        return [*where, world.seed, world.max_cycles, self.first, list(self.seeds)]
 
 
-Key = States | Behaviours
-Piece = Unit | BehaviourBlock
-Result = Measured | Played | InputError
-Users = Mapping[str | None, tuple[Explainer | None, int]]  # by explainer's name: on how many episodes
-Wanted = dict[Key, dict[str | None, tuple[Explainer | None, int]]]
-Episodes = Mapping[World, Sequence[Episode]]
+@dataclass(frozen=True)
+class Piece:
+    """A block's work of one kind. `key` names its result."""
+
+    kind: Kind
+    block: Block
+    timesteps: int | None  # at most so many of each episode; None is all
+    explainer: str | None  # its name; None where none has a part in it
+    key: str
+    source: Piece | None = None  # the episodes whose states are explained
+
+    def __str__(self) -> str:
+        block, last = self.block, self.block.first + len(self.block.seeds) - 1
+        what = self.kind if self.explainer is None else f"{self.kind} by {self.explainer}"
+        return f"{block.world.name}, {what}, episodes {block.first}-{last}"
 
 
-def world_of(request: Request, cell: Cell) -> World:
-    return World(request.policy, cell, request.sampling.seed, request.sampling.max_cycles)
+@dataclass(frozen=True)
+class Needs:
+    """The pieces that a request's entry is made of, in the order of its episodes, for one cell."""
+
+    world: World
+    episodes: tuple[Piece, ...]
+    shared: tuple[Piece, ...]
+    explained: tuple[Piece, ...]
+    behaviour: tuple[Piece, ...]  # none where it is not asked for
+    random_behaviour: tuple[Piece, ...]  # of messages chosen at random: the floor
+
+    def __iter__(self) -> Iterator[Piece]:
+        yield from self.episodes
+        yield from self.shared
+        yield from self.explained
+        yield from self.behaviour
+        yield from self.random_behaviour
 
 
-def needs(request: Request, cell: Cell) -> list[tuple[Key, Explainer | None, int]]:
-    """What an entry is made of: work, by which explainer, on how many episodes."""
-    world, explainer = world_of(request, cell), request.explainer.explainer
-    needed: list[tuple[Key, Explainer | None, int]] = [
-        (States(world, request.sampling.timesteps), explainer, request.sampling.episodes)
-    ]
-    n_behaviours = request.behaviours(cell)
-    if n_behaviours:
-        needed.append((Behaviours(world, explainer.name), explainer, n_behaviours))
-        needed.append((Behaviours(world, None), None, n_behaviours))
-    return needed
+def needs(request: Request, cell: Cell) -> Needs:
+    world, sampling, n_played = World.of(request, cell), request.sampling, request.behaviours(cell)
+    name, its_key = request.explainer.explainer.name, explainer_key(request.explainer)
+    episodes = tuple(
+        Piece("episodes", block, None, None, content_key("episodes", *block.key()))
+        for block in blocks(world, sampling.seeds, BLOCK)
+    )
+    acted = tuple(blocks(world, sampling.seeds[:n_played], BEHAVIOUR_BLOCK))
 
-
-def wanted(requests: Sequence[Request]) -> Wanted:
-    """All work of a run. Raises InputError where two explainers share a name: entries are filed by it."""
-    merged: Wanted = {}
-    for request in requests:
-        for cell in request.cells:
-            for key, explainer, n_episodes in needs(request, cell):
-                explainers = merged.setdefault(key, {})
-                name = None if explainer is None else explainer.name
-                known, most = explainers.get(name, (explainer, 0))
-                if known != explainer:
-                    raise InputError(f"two explainers are named {name!r}: rename one.")
-                explainers[name] = explainer, max(n_episodes, most)
-    return merged
-
-
-def fit_explainers(work: Wanted) -> Wanted:
-    """The same work by explainers that have been fitted to the policies, each to each once."""
-    done: dict[tuple[World, str], Explainer] = {}
-    for key, users in work.items():
-        world, cell = key.world, key.world.cell
-        for name, (explainer, n_episodes) in users.items():
-            if explainer is None or explainer.fit is None:
-                continue
-            if (world, explainer.name) not in done:
-                done[world, explainer.name] = fitted(
-                    explainer, world.policy, cell.task, cell.n_agents, world.seed
-                )
-            users[name] = done[world, explainer.name], n_episodes
-    return work
-
-
-def roll_out_worlds(
-    requests: Sequence[Request], *, jobs: int, parallel_episodes: int, progress: str | None
-) -> dict[World, list[Episode]]:
-    """The episodes that all requests together need, each played once."""
-    seeds: dict[World, list[int]] = {}
-    for request in requests:
-        for cell in request.cells:
-            known = seeds.setdefault(world_of(request, cell), [])
-            known += request.sampling.seeds[len(known) :]
-    rollouts = [
-        Rollout(world.policy, world.cell.task, world.cell.n_agents, tuple(each), world.max_cycles)
-        for world, each in seeds.items()
-    ]
-    played = play_all(rollouts, jobs=jobs, parallel_episodes=parallel_episodes, progress=progress)
-    return dict(zip(seeds, played, strict=True))
-
-
-def pieces(key: Key, users: Users, episodes: Episodes) -> Iterator[Piece]:
-    """The pieces of one key, by episode: what workers are handed."""
-    world = key.world
-    n_episodes = max(n for _, n in users.values())
-    if isinstance(key, Behaviours):
-        explainer, _ = users[key.explainer]
-        seeds = [episode.seed for episode in episodes[world][:n_episodes]]
-        cell = world.cell
-        yield from blocks(
-            world.policy, explainer, cell.task, cell.n_agents, seeds, world.seed, world.max_cycles
+    def explained(kind: Kind, by: str | None, *keys: str) -> tuple[Piece, ...]:
+        t = sampling.timesteps
+        return tuple(
+            Piece(kind, played.block, t, by, content_key(kind, *played.block.key(), t, *keys), played)
+            for played in episodes
         )
-        return
-    for k, episode in enumerate(episodes[world][:n_episodes]):
-        explainers = tuple(each for each, n in users.values() if each is not None and k < n)
-        sanity = k < SANITY_EPISODES
-        yield Unit(world.policy, explainers, episode, world.seed, key.timesteps, sanity)
+
+    def behaviour(by: str | None, *keys: str) -> tuple[Piece, ...]:
+        return tuple(
+            Piece("behaviour", block, None, by, content_key("behaviour", *block.key(), *keys))
+            for block in acted
+        )
+
+    return Needs(
+        world,
+        episodes,
+        explained("shared", None),
+        explained("explained", name, its_key),
+        behaviour(name, its_key),
+        behaviour(None),
+    )
 
 
-def check_explainers(work: Wanted, episodes: Episodes) -> None:
-    """Try every explainer on one timestep of every policy. Raises the first error, before much is done."""
-    for key, users in work.items():
-        if isinstance(key, States):
-            first, *_ = pieces(key, users, episodes)
-            assert isinstance(first, Unit)
-            for result in replace(first, timesteps=1, sanity=False).run().explained.values():
-                if isinstance(result, InputError):
-                    raise result
+def blocks(world: World, seeds: list[int], size: int) -> Iterator[Block]:
+    for first in range(0, len(seeds), size):
+        yield Block(world, first, tuple(seeds[first : first + size]))
 
 
-def run(piece: Piece) -> Result:
-    return piece.run()
+@dataclass(frozen=True)
+class Plan:
+    """A request, the pieces that it needs cell by cell, and the name of its entry in a store."""
+
+    request: Request
+    needs: tuple[Needs, ...]
+    key: str
+
+    @classmethod
+    def of(cls, request: Request, submitter: str | None) -> Plan:
+        """Of a whole entry: its pieces, and what it says of policy, explainer and submitter."""
+        needed = tuple(needs(request, cell) for cell in request.cells)
+        found = request.explainer
+        key = content_key(
+            "entry",
+            SCHEMA_VERSION,
+            request.card.model_dump(mode="json", exclude={"training", "performance"}),
+            [found.distribution, found.version, found.entry_point],
+            submitter,
+            [piece.key for each in needed for piece in each],
+        )
+        return cls(request, needed, key)
+
+    def __iter__(self) -> Iterator[Piece]:
+        for each in self.needs:
+            yield from each
+
+    @property
+    def explainer(self) -> str:
+        return self.request.explainer.explainer.name
+
+    @property
+    def piece_keys(self) -> list[str]:
+        return [piece.key for piece in self]

@@ -12,8 +12,7 @@ from xmarl_envs import make_task
 
 from tests.bench.plugins import BAD
 from tests.policies import small_policy
-from xmarl_bench import behaviour
-from xmarl_bench.behaviour import BLOCK, BehaviourBlock, Played, blocks, kept_messages, top_messages
+from xmarl_bench.behaviour import BLOCK, BehaviourBlock, Played, kept_messages, top_messages
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import Policy
@@ -95,14 +94,6 @@ def test_an_episode_depends_on_none_that_is_played_beside_it(explainer: Explaine
     whole, part = play(explainer, (1, 2, 3)), play(explainer, (1, 2))
     assert whole.values[:2] == part.values
     assert whole.values == play(explainer, (1, 2, 3)).values
-
-
-def test_a_run_is_cut_into_blocks_that_a_shorter_run_shares(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(behaviour, "BLOCK", 2)
-    cut = [
-        [block.seeds for block in blocks(small_policy(6), None, TASK, 3, range(n), 0, None)] for n in (5, 3)
-    ]
-    assert cut == [[(0, 1), (2, 3), (4,)], [(0, 1), (2,)]]
 
 
 def test_the_fidelity_is_the_difference_of_successes() -> None:

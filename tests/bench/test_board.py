@@ -16,7 +16,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.policy import save_policy
 from xmarl_bench.registry import find_explainer
 from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.scoring import score_requests
+from xmarl_bench.scoring import entries_of, score_requests
 
 
 @pytest.fixture(scope="module")
@@ -34,17 +34,14 @@ def entries(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
         )
         policies.append((policy, card))
     samplings = Sampling(episodes=3, max_cycles=8), Sampling(episodes=2, timesteps=2, max_cycles=8)
-    return list(
-        score_requests(
-            [
-                Request(policy, card, find_explainer(name), (Cell(card.task, n),), sampling, 0)
-                for policy, card in policies
-                for name in ("random", "attention")
-                for sampling in samplings
-                for n in (3, 4)
-            ]
-        )
-    )
+    requests = [
+        Request(policy, card, find_explainer(name), (Cell(card.task, n),), sampling, 0)
+        for policy, card in policies
+        for name in ("random", "attention")
+        for sampling in samplings
+        for n in (3, 4)
+    ]
+    return list(entries_of(score_requests(requests)))
 
 
 def passed(entry: Entry, **means: float) -> Entry:

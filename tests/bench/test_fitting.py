@@ -15,7 +15,7 @@ from xmarl_bench.registry import as_found
 from xmarl_bench.reproducible import FIRST_SEED
 from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.rollout import roll_out
-from xmarl_bench.scoring import score_requests
+from xmarl_bench.scoring import entries_of, score_requests
 
 FITTED: list[tuple[float, Tensor]] = []  # what every fit was given
 
@@ -53,7 +53,7 @@ def test_a_run_fits_once_and_refits_for_shuffled_weights(make_bundle: MakeBundle
     )
     requests = [Request(policy, card, found, (Cell(card.task, 3),), each, 1) for each in samplings]
     FITTED.clear()
-    entries = list(score_requests(requests))
+    entries = list(entries_of(score_requests(requests)))
     first, *others = FITTED
     shuffled = [weights for weights, _ in others]
     assert len(shuffled) == 5  # sanity checks of 3 and of 2 episodes
@@ -61,7 +61,7 @@ def test_a_run_fits_once_and_refits_for_shuffled_weights(make_bundle: MakeBundle
     assert all(torch.equal(states, first[1]) for _, states in others)
     assert torch.equal(first[1], fit_states(policy, card.task, 3))
     assert all(entry.explainer.needs_fit for entry in entries)
-    again = list(score_requests([requests[0]]))
+    again = list(entries_of(score_requests([requests[0]])))
     assert again[0].results[0].episodes == entries[0].results[0].episodes
 
 

@@ -16,6 +16,7 @@ from xmarl_bench.measure import Explained, Measured, Unit, spaced_timesteps
 from xmarl_bench.metrics import budgeted_fidelity
 from xmarl_bench.policy import Policy
 from xmarl_bench.rollout import Episode
+from xmarl_bench.states import Values
 
 
 @given(st.integers(1, 500), st.integers(1, 600))
@@ -41,6 +42,11 @@ def episode(seed: int = 7) -> Episode:
 
 def measured(*explainers: Explainer, seed: int = 0, episode_seed: int = 7, sanity: bool = False) -> Measured:
     return Unit(small_policy(6), explainers, episode(episode_seed), seed, None, sanity).run()
+
+
+def controls_of(result: Measured) -> dict[str, Values]:
+    assert result.shared is not None
+    return result.shared.controls
 
 
 def values_of(explainer: Explainer, seed: int = 0, episode_seed: int = 7) -> dict[str, float | None]:
@@ -95,17 +101,27 @@ def test_explainers_run_on_one_thread() -> None:
 
 def test_a_control_scores_the_same_carried_along_and_asked_for() -> None:
     result = measured(*CONTROLS.values())
-    assert list(result.controls) == list(CONTROLS)
-    for name, carried in result.controls.items():
+    assert list(controls_of(result)) == list(CONTROLS)
+    for name, carried in controls_of(result).items():
         asked = result.explained[name]
         assert isinstance(asked, Explained)
         assert asked.values == carried, name
 
 
+def test_what_is_shared_is_measured_where_it_is_asked_for() -> None:
+    unit = Unit(small_policy(6), (CONTROLS["random"],), episode(), 0, None, sanity=False, shared=False)
+    without, beside = unit.run(), measured(CONTROLS["random"])
+    assert without.shared is None
+    alone, together = without.explained["random"], beside.explained["random"]
+    assert isinstance(alone, Explained)
+    assert isinstance(together, Explained)
+    assert alone.values == together.values
+
+
 def test_the_inverse_of_a_mask_is_its_complement() -> None:
     result = measured(CONTROLS["all-ones"]).explained["all-ones"]
     assert isinstance(result, Explained)
-    assert result.inverted == measured().controls["zeros"]
+    assert result.inverted == controls_of(measured())["zeros"]
     assert result.inverted["fid_delta"] == -(result.values["fid_delta"] or 0.0)
 
 
@@ -143,7 +159,7 @@ def test_the_error_of_one_explainer_does_not_stop_the_others() -> None:
 def test_a_team_too_large_for_the_oracle_has_none() -> None:
     observations = random_observations(2, 11, 6).numpy()
     unit = Unit(small_policy(6), (), Episode(7, observations, 0.0, 0.0, 0.0, 0.0, 2), 0, None, False)
-    controls = unit.run().controls
+    controls = controls_of(unit.run())
     assert set(CONTROLS) - set(controls) == {"oracle", "soft-oracle"}
     assert controls["random"]["comm_budgeted_fidelity"] is None
     assert controls["random"]["comm_topk_fid_delta"] is not None

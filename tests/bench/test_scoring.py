@@ -19,8 +19,9 @@ from xmarl_bench.policy import load_policy
 from xmarl_bench.registry import as_found, find_explainer
 from xmarl_bench.reproducible import FIRST_SEED, derived_seed, episode_seeds
 from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.scoring import score, score_requests
+from xmarl_bench.scoring import entries_of, score, score_requests
 from xmarl_bench.selection import plan
+from xmarl_bench.workers import Workers
 
 
 def bytes_of(entry: Entry) -> bytes:
@@ -50,8 +51,11 @@ def test_one_and_two_processes_write_the_same_bytes(make_bundle: MakeBundle) -> 
         Request(*policies[0], find_explainer(name), requests[0].cells, few, behaviour_episodes=0)
         for name in ("gnn_explainer", "graphmask-pyg")
     ]
-    one = [bytes_of(entry) for entry in score_requests(requests, jobs=1)]
-    two = [bytes_of(entry) for entry in score_requests(requests, jobs=2, parallel_episodes=1)]
+    one = [bytes_of(entry) for entry in entries_of(score_requests(requests))]
+    two = [
+        bytes_of(entry)
+        for entry in entries_of(score_requests(requests, workers=Workers(2), parallel_episodes=1))
+    ]
     assert one == two
 
 
@@ -64,8 +68,10 @@ def test_an_entry_does_not_depend_on_what_else_is_scored(make_bundle: MakeBundle
         for name in names
         for sampling in samplings
     ]
-    together = {bytes_of(entry) for entry in score_requests(requests)}
-    apart = {bytes_of(entry) for request in reversed(requests) for entry in score_requests([request])}
+    together = {bytes_of(entry) for entry in entries_of(score_requests(requests))}
+    apart = {
+        bytes_of(entry) for request in reversed(requests) for entry in entries_of(score_requests([request]))
+    }
     assert together == apart
     assert len(together) == 4
 
@@ -122,7 +128,7 @@ def test_what_is_not_measured_says_why(make_bundle: MakeBundle) -> None:
         cell = Cell(card.task, n_agents)
         sampling = Sampling(episodes=1, timesteps=1, max_cycles=2)
         request = Request(policy, card, find_explainer(name), (cell,), sampling, behaviour_episodes)
-        (entry,) = score_requests([request])
+        (entry,) = entries_of(score_requests([request]))
         (result,) = entry.results
         nulls = {name for name, summary in result.metrics if summary is None}
         assert nulls == set(result.not_measured)
@@ -151,7 +157,7 @@ def test_fewer_behaviour_episodes_are_the_first_of_more(make_bundle: MakeBundle)
         for name in ("attention", "bernoulli")
         for played in (4, 2, 0)
     ]
-    for entry, request in zip(score_requests(requests), requests, strict=True):
+    for entry, request in zip(entries_of(score_requests(requests)), requests, strict=True):
         (cell,) = entry.results
         n_played = request.behaviours(cells[0])
         assert cell.behaviour_episodes == n_played
@@ -160,7 +166,7 @@ def test_fewer_behaviour_episodes_are_the_first_of_more(make_bundle: MakeBundle)
         for metrics in (cell.metrics, cell.controls["random"]):
             summary = metrics.reward_on_complement
             assert (summary.n, summary.n_nan) == (n_played, 0) if summary else n_played == 0
-    whole, half = (entry.results[0].episodes[:2] for entry in score_requests(requests[:2]))
+    whole, half = (entry.results[0].episodes[:2] for entry in entries_of(score_requests(requests[:2])))
     assert whole == half
 
 
@@ -171,7 +177,7 @@ def test_two_explainers_of_one_name_are_refused(make_bundle: MakeBundle) -> None
         for text in ("one", "another")
     ]
     with pytest.raises(InputError, match="two explainers are named 'slow'"):
-        next(score_requests(requests))
+        next(entries_of(score_requests(requests)))
 
 
 def test_tasks_without_walls_have_no_object_collision(make_bundle: MakeBundle) -> None:
@@ -200,7 +206,7 @@ def test_a_bad_explainer_is_refused_before_a_good_one_is_scored(make_bundle: Mak
         for found in (find_explainer("attention"), as_found(BAD["nan"]))
     ]
     with pytest.raises(InputError, match="'nan'"):
-        next(score_requests(requests))
+        next(entries_of(score_requests(requests)))
 
 
 @pytest.mark.parametrize(

@@ -50,8 +50,6 @@ def test_the_main_study(run_cli: RunCli, tmp_path: Path) -> None:
     out = tmp_path / "study"
     ran = run(run_cli, "main", folders, out, "--no-figures")
     assert ran.code == 0, ran.err
-    assert "0 of 4 scores are in" in ran.err
-    assert "4 of 4 scored (p0.2)" in ran.err
     results = json.loads((out / "results.json").read_text())
     assert [policy["name"] for policy in results["policies"]] == ["p0.0", "p0.2"]
     improved = next(claim for claim in results["ledger"] if claim["id"] == "main-attention-fid-delta")
@@ -62,7 +60,7 @@ def test_the_main_study(run_cli: RunCli, tmp_path: Path) -> None:
     before = (out / "results.json").read_bytes()
     again = run(run_cli, "main", folders, out, "--no-figures")
     assert again.code == 0, again.err
-    assert again.err == ""  # nothing was scored
+    assert again.err == ""
     assert (out / "results.json").read_bytes() == before
 
 

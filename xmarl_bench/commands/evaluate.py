@@ -7,8 +7,10 @@ from typing import Annotated
 import typer
 
 from xmarl_bench.commands.options import (
+    Address,
     Agents,
     AsJson,
+    Backend,
     Episodes,
     Jobs,
     MaxCycles,
@@ -17,6 +19,7 @@ from xmarl_bench.commands.options import (
     Seed,
     Tasks,
     TrustCode,
+    workers_of,
 )
 
 
@@ -28,7 +31,9 @@ def evaluate(
     max_cycles: MaxCycles = None,
     seed: Seed = 0,
     trust_code: TrustCode = False,
-    jobs: Jobs = 1,
+    jobs: Jobs = None,
+    backend: Backend = "loky",
+    address: Address = None,
     parallel_episodes: Parallel = 50,
     as_json: AsJson = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table of the README.")] = False,
@@ -44,7 +49,7 @@ def evaluate(
     performances = run(
         [(network, cell) for network, _, cell in pairs],
         Sampling(episodes=episodes, max_cycles=max_cycles, seed=seed),
-        jobs=jobs,
+        workers=workers_of(jobs, backend, address),
         parallel_episodes=parallel_episodes,
         progress=True,
     )

@@ -9,17 +9,23 @@ from typing import Annotated
 import typer
 
 from xmarl_bench.commands.options import (
+    Address,
     Agents,
+    Backend,
+    Cells,
     Episodes,
     Explainers,
     Jobs,
     MaxCycles,
     Parallel,
     Policies,
+    Resume,
     Seed,
     Tasks,
     TrustCode,
+    workers_of,
 )
+from xmarl_bench.store import DEFAULT_FOLDER
 
 
 def score(
@@ -52,26 +58,34 @@ def score(
     max_cycles: MaxCycles = None,
     seed: Seed = 0,
     trust_code: TrustCode = False,
-    jobs: Jobs = 1,
+    jobs: Jobs = None,
+    backend: Backend = "loky",
+    address: Address = None,
     parallel_episodes: Parallel = 50,
+    cells: Cells = DEFAULT_FOLDER,
+    resume: Resume = True,
     submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
     out: Annotated[Path, typer.Option(help="Where entries/ and leaderboard.json go.")] = Path("leaderboard"),
 ) -> None:
     """Score explainers on policies; write one entry per pair and rebuild the leaderboard.
 
     With --slow-episodes or --slow-timesteps, slow explainers are scored on fewer states only, and all
-    others on both: on all states, and on the same few, so that they can be compared.
+    others on both: on all states, and on the same few, so that they can be compared. What is finished is kept
+    in --cells: a run that was stopped goes on where it was. What fails stops nothing else; exit code 1 says
+    that something did.
     """
     from dataclasses import replace
 
     from xmarl_bench import report
     from xmarl_bench.board import build_board
     from xmarl_bench.entry import read_entries, write_entry
-    from xmarl_bench.files import check_writable
+    from xmarl_bench.files import locked, remove_leftovers
     from xmarl_bench.request import Sampling
-    from xmarl_bench.scoring import score_requests
+    from xmarl_bench.scoring import Failed, score_requests
     from xmarl_bench.selection import plan, select_explainers, select_policies
+    from xmarl_bench.store import Store
 
+    workers = workers_of(jobs, backend, address)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
     slow = replace(
         sampling,
@@ -87,19 +101,35 @@ def score(
         behaviour_episodes=behaviour_episodes,
         no_behaviour=no_behaviour,
     )
-    check_writable(out)
-    read_entries(out / "entries")  # a board that could not be rebuilt afterwards is refused now
-    entries = []
-    try:
-        for entry in score_requests(
-            requests, jobs=jobs, parallel_episodes=parallel_episodes, progress=True, submitter=submitter
-        ):
-            path = write_entry(out / "entries", entry)
-            entries.append(entry)
-            if not sys.stderr.isatty():  # a log, which shows no progress bar
-                print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
-    finally:
-        if entries:  # an interrupted run keeps what it finished
-            board = build_board(out)
-    report.print_scores(entries, [found.explainer for found in explainers])
-    print(f"{len(entries)} entries in {out / 'entries'}, leaderboard in {board} and {out / 'index.html'}.")
+    entries, failed = [], []
+    with locked(out):
+        for folder in (out, out / "entries"):
+            remove_leftovers(folder)
+        read_entries(out / "entries")  # a board that could not be rebuilt afterwards is refused now
+        try:
+            for outcome in score_requests(
+                requests,
+                workers=workers,
+                parallel_episodes=parallel_episodes,
+                progress=True,
+                submitter=submitter,
+                store=Store(cells),
+                fresh=not resume,
+                out=out,
+            ):
+                if isinstance(outcome, Failed):
+                    failed.append(outcome)
+                    continue
+                path = write_entry(out / "entries", outcome)
+                entries.append(outcome)
+                if not sys.stderr.isatty():  # a log, which shows no progress bar
+                    print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
+        finally:
+            if entries:  # an interrupted run keeps what it finished
+                board = build_board(out)
+    if entries:
+        report.print_scores(entries, [found.explainer for found in explainers])
+        print(
+            f"{len(entries)} entries in {out / 'entries'}, leaderboard in {board} and {out / 'index.html'}."
+        )
+    report.exit_for_failures(failed, len(requests))

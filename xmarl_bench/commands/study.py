@@ -8,7 +8,18 @@ from typing import Annotated
 
 import typer
 
-from xmarl_bench.commands.options import Jobs, MaxCycles, Policies, Seed
+from xmarl_bench.commands.options import (
+    Address,
+    Backend,
+    Cells,
+    Jobs,
+    MaxCycles,
+    Policies,
+    Resume,
+    Seed,
+    workers_of,
+)
+from xmarl_bench.store import DEFAULT_FOLDER
 
 
 class Name(StrEnum):
@@ -46,22 +57,33 @@ def study(
     ] = [],  # noqa: B006
     figures: Annotated[bool, typer.Option(help="Draw (needs the extra 'plots').")] = True,
     seed: Seed = 0,
-    jobs: Jobs = 1,
+    jobs: Jobs = None,
+    backend: Backend = "loky",
+    address: Address = None,
+    cells: Cells = DEFAULT_FOLDER,
+    resume: Resume = True,
     submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
     out: Annotated[
         Path | None, typer.Option(help="Where everything goes; study/NAME by default, study/NAME-quick.")
     ] = None,
 ) -> None:
-    """Reproduce a study of the paper and judge its statements; what is scored already is not scored again."""
-    from xmarl_bench.files import check_writable
+    """Reproduce a study of the paper and judge its statements; what is scored already is not scored again.
+
+    What is finished is kept in --cells. What fails stops nothing else, and is missing from the study; exit
+    code 1 says that something did.
+    """
+    from xmarl_bench import report
+    from xmarl_bench.files import locked, remove_leftovers
     from xmarl_bench.request import Sampling
-    from xmarl_bench.study.cache import Cache
+    from xmarl_bench.scoring import Failed, score_requests
+    from xmarl_bench.store import Store
     from xmarl_bench.study.figures import check_matplotlib
     from xmarl_bench.study.output import write_study
     from xmarl_bench.study.plan import QUICK, STUDIES, plan, select_study_explainers
     from xmarl_bench.study.results import StudyData
     from xmarl_bench.study.samples import Samples
 
+    workers = workers_of(jobs, backend, address)
     chosen = STUDIES[name.value]
     folder = out or Path("study") / (f"{name.value}-quick" if quick else name.value)
     if figures:
@@ -72,14 +94,31 @@ def study(
     explainers = select_study_explainers(explainer)
     requests = plan(chosen, policy, explainers, sampling, behaviour)
     Samples.check(request.card for request in requests)
-    check_writable(folder)
-    entries = Cache(folder / "entries").complete(requests, jobs=jobs, progress=True, submitter=submitter)
-    pairs = [(request.card, entry) for request, entry in zip(requests, entries, strict=True)]
-    data = StudyData(chosen, tuple(found.explainer.name for found in explainers), pairs, Samples.of(pairs))
-    results = write_study(folder, data, figures=figures)
+    with locked(folder):
+        remove_leftovers(folder)
+        scored = score_requests(
+            requests,
+            workers=workers,
+            progress=True,
+            submitter=submitter,
+            store=Store(cells),
+            fresh=not resume,
+            out=folder,
+        )
+        outcomes = list(report.told(scored, len(requests)))
+        pairs = [
+            (request.card, outcome)
+            for request, outcome in zip(requests, outcomes, strict=True)
+            if not isinstance(outcome, Failed)
+        ]
+        data = StudyData(
+            chosen, tuple(found.explainer.name for found in explainers), pairs, Samples.of(pairs)
+        )
+        results = write_study(folder, data, figures=figures)
     verdicts = [claim["verdict"] for claim in results["ledger"]]
     counted = ", ".join(f"{verdicts.count(each)} {each}" for each in sorted(set(verdicts)))
     for absent in results["missing"]:
         print(f"missing: {absent}")
     print(f"{len(verdicts)} statements of the paper: {counted}.")
-    print(f"{len(entries)} entries, results.json, tables/, figures/ and report.html in {folder}.")
+    print(f"{len(pairs)} entries in {cells}; results.json, tables/, figures/ and report.html in {folder}.")
+    report.exit_for_failures([each for each in outcomes if isinstance(each, Failed)], len(requests))

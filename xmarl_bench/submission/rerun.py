@@ -22,7 +22,7 @@ from xmarl_bench.protocol import SANITY_EPISODES
 from xmarl_bench.registry import FoundExplainer
 from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.rollout import Rollout
-from xmarl_bench.scoring import score_requests
+from xmarl_bench.scoring import entries_of, score_requests
 from xmarl_bench.submission.recompute import Difference, summaries
 from xmarl_bench.summary import BEHAVIOUR
 
@@ -95,12 +95,14 @@ def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen:
         explained = measured.explained[explainer.name]
         if not isinstance(explained, Explained):
             raise explained
-        row = episode_row(request.cells[0], episode, measured, explained, dict.fromkeys(BEHAVIOUR))
+        assert measured.shared is not None
+        row = episode_row(request.cells[0], episode, measured.shared, explained, dict.fromkeys(BEHAVIOUR))
         result.episodes.append(list(_rows(f"{where}.episodes.{k}", cell.episodes[k], row, behaviour=False)))
 
 
 def _full(result: Rerun, where: str, cell: CellResult, request: Request) -> None:
-    (again,) = next(iter(score_requests([request]))).results
+    (entry,) = entries_of(score_requests([request]))  # in a store of its own: nothing finished is believed
+    (again,) = entry.results
     pairs = enumerate(zip(cell.episodes, again.episodes, strict=True))
     result.episodes += [
         list(_rows(f"{where}.episodes.{k}", row, other, behaviour=True)) for k, (row, other) in pairs

@@ -13,7 +13,7 @@ from xmarl_bench.entry import Entry
 from xmarl_bench.policy import load_policy, save_policy
 from xmarl_bench.registry import find_explainer
 from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.scoring import score_requests
+from xmarl_bench.scoring import entries_of, score_requests
 from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle
 
 TASK, TEAM = "blind_passage_v0", 3
@@ -44,7 +44,7 @@ def entries(policy_folder: Path) -> list[Entry]:
         Request(policy, card, find_explainer(name), (Cell(TASK, TEAM),), Sampling(7, None, 8), 5)
         for name in ("attention", "occlusion")
     ]
-    return [as_submitted(entry, "somebody", None) for entry in score_requests(requests)]
+    return [as_submitted(entry, "somebody", None) for entry in entries_of(score_requests(requests))]
 
 
 @pytest.fixture(scope="session")

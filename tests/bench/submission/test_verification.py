@@ -20,7 +20,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.registry import find_explainer
 from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.scoring import score_requests
+from xmarl_bench.scoring import entries_of, score_requests
 from xmarl_bench.submission import tolerance, verification
 from xmarl_bench.submission.checking import Checked, check
 from xmarl_bench.submission.recompute import Difference
@@ -228,7 +228,9 @@ def test_code_of_strangers_runs_when_trusted_and_walled_in(
     code.write_text(STRANGER)
     policy, card = load_policy(policy_folder)
     found = find_explainer(f"{code}:stranger")
-    (entry,) = score_requests([Request(policy, card, found, (Cell(TASK, TEAM),), Sampling(3, 4, 8), 2)])
+    (entry,) = entries_of(
+        score_requests([Request(policy, card, found, (Cell(TASK, TEAM),), Sampling(3, 4, 8), 2)])
+    )
     made = bundle_files(
         [as_submitted(entry, "me", "https://example.org")], {"small": policy_folder}, submitter="me",
         licence=files["LICENSE"],

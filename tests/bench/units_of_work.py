@@ -76,3 +76,29 @@ def kill_worker_once(unit: tuple[Rollout, Path | None]) -> list[Episode]:
 def sleep_long(number: int) -> int:
     time.sleep(600)
     return number
+
+
+def started_and_ended(number: int) -> tuple[float, float]:
+    started = time.time()
+    time.sleep(0.05)
+    return started, time.time()
+
+
+def some_rollouts() -> list[Rollout]:
+    """Six pieces of real work by a small policy of random weights."""
+    from xmarl_envs import TASKS
+
+    from tests.policies import small_policy
+    from xmarl_bench.rollout import Rollout
+
+    task = "blind_navigation_v0"
+    policy = small_policy(len(TASKS[task].observation_names))
+    return [Rollout(policy, task, 3, (k, k + 10), max_cycles=40) for k in range(6)]
+
+
+def to_the_bit(played: list[list[Episode]]) -> list[tuple[object, ...]]:
+    return [
+        (each.seed, each.observations.tobytes(), each.reward.hex(), each.success_rate, each.makespan)
+        for episodes in played
+        for each in episodes
+    ]

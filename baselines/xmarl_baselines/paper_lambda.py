@@ -38,7 +38,7 @@ from xmarl_bench.rollout import roll_out
 
 RECORDS = CONTROLS / "paper_lambda"
 STATES = Sampling(episodes=20)  # whose every timestep is looked at in the end: the first that scoring plays
-CHECKPOINT_EVERY = 5  # iterations
+EPISODES, CHECKPOINT_EVERY = 100, 5  # of the evaluation; iterations
 Look = dict[str, float | None]
 
 
@@ -117,7 +117,7 @@ def _action(policy: GraphPolicy, seen: Tensor, mask: Tensor | None = None) -> ND
 def main(
     name: Annotated[str, typer.Argument(help="e.g. navigation-schedule-n3-lambda10-seed0")],
     iterations: Annotated[int, typer.Option(min=1, help="of the paper's schedule")],
-    episodes: Annotated[int, typer.Option(min=1, help="of the evaluation at the end")] = 100,
+    episodes: Annotated[int, typer.Option(min=1, help="of the evaluation at the end")] = EPISODES,
     out: Annotated[Path, typer.Option(help="folder for NAME.json")] = RECORDS,
     runs: Annotated[Path, typer.Option(help="folder for checkpoints")] = Path("runs"),
 ) -> None:
@@ -129,7 +129,8 @@ def main(
         seconds = time.process_time() - started
         record: dict[str, Any] = {
             "name": name,
-            "command": f"python -m xmarl_baselines.paper_lambda {name} --iterations {iterations}",
+            "command": f"python -m xmarl_baselines.paper_lambda {name} --iterations {iterations}"
+            + ("" if episodes == EPISODES else f" --episodes {episodes}"),
             "task": recipe.task,
             "n_agents": run.n_agents,
             "lambda": run.attention_entropy,

@@ -107,7 +107,7 @@ def test_a_run_is_recorded_and_becomes_a_row(tmp_path: Path, monkeypatch: pytest
     assert (row["lambda"], row["advantages"], row["frames (M)"]) == (10.0, "raw", "0.00 of 2.7")
     start, end = record["along"][0], record["listening"]
     assert row["attention entropy"] == f"{start['attention_entropy']:.2f} -> {end['attention_entropy']:.3f}"
-    assert row["command"] == f"`python -m xmarl_baselines.paper_lambda {name} --iterations 3`"
+    assert row["command"] == f"`python -m xmarl_baselines.paper_lambda {name} --iterations 3 --episodes 1`"
 
 
 def test_the_attention_looked_at_is_that_of_the_untrained_team_first(tmp_path: Path) -> None:

@@ -105,11 +105,11 @@ def update_operations(model: MAPPO, n_agents: int) -> float:
 
 def benchmarl(folder: Path) -> Callable[[], None]:
     """An experiment of one iteration, ready to run."""
-    pytest.importorskip("benchmarl", reason="of the `bench` extra")
     from torchrl import collectors
 
     # Its name until TorchRL 0.13; BenchMARL 1.5 still asks for it.
     collectors.SyncDataCollector = collectors.Collector
+    pytest.importorskip("benchmarl", reason="of the `bench` extra")
     from benchmarl.algorithms import MappoConfig
     from benchmarl.environments import VmasTask
     from benchmarl.experiment import Experiment, ExperimentConfig

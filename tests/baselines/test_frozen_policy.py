@@ -7,7 +7,7 @@ import copy
 import pytest
 import torch
 from torch import Tensor, nn
-from xmarl_baselines.frozen_policy import _Fused, frozen
+from xmarl_baselines.frozen_policy import Fused, frozen
 
 from tests.baselines.reference import TRAINED, trained
 from tests.deep_policies import two_layers
@@ -26,7 +26,7 @@ def test_same_action_and_gradient_on_trained_policies(name: str) -> None:
     policy, observations = trained(name, 30)
     masks = random_masks(30, 3)
     private = frozen(policy)
-    assert isinstance(private.decoder[0], _Fused)
+    assert isinstance(private.decoder[0], Fused)
     for ours, theirs in zip(
         action_and_gradient(private, observations, masks),
         action_and_gradient(policy, observations, masks),
@@ -53,10 +53,10 @@ def test_any_decoder(activation: str, decoder: tuple[int, ...]) -> None:
 
 
 def test_what_cannot_be_fused_is_left_as_it_is() -> None:
-    assert not isinstance(frozen(small_policy(6).double()).decoder[0], _Fused)
+    assert not isinstance(frozen(small_policy(6).double()).decoder[0], Fused)
     odd = small_policy(6)
     odd.decoder = nn.Sequential(nn.Linear(8, 8), nn.Tanh(), nn.ReLU(), nn.Linear(8, 4))
-    assert not isinstance(frozen(odd).decoder[0], _Fused)
+    assert not isinstance(frozen(odd).decoder[0], Fused)
     observations = random_observations(2, 3, 6)
     for policy in (odd, two_layers(6)):
         with torch.no_grad():
@@ -76,3 +76,9 @@ def test_the_policy_is_not_touched_and_the_copy_needs_no_gradient() -> None:
     for mine, theirs in zip(policy.parameters(), before.parameters(), strict=True):
         assert torch.equal(mine, theirs)
         assert mine.data_ptr() not in {parameter.data_ptr() for parameter in private.parameters()}
+
+
+def test_a_frozen_policy_can_be_copied() -> None:
+    private, observations = frozen(small_policy(6)), random_observations(2, 3, 6)
+    same = copy.deepcopy(private).distribution(observations).loc
+    assert torch.equal(same, private.distribution(observations).loc)

@@ -38,6 +38,7 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import Tensor
 
+from xmarl_baselines.action_change import action_change
 from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.explainer import Explainer
@@ -72,42 +73,38 @@ def uniform_noise(epochs: int, n_agents: int, seeds: list[int]) -> Tensor:
     return torch.stack(draws, dim=1)
 
 
+@torch.no_grad()
 def optimise_gates(
     policy: Policy, observations: Tensor, noise: Tensor, settings: GraphMaskSettings
 ) -> Tensor:
     """One chunk: (S, N, D) observations, (epochs, S, N, N) uniform noise -> masks (S, N, N) of 0 and 1."""
-    with torch.no_grad():
-        prepared = policy.prepare(observations)
-        target = policy.decode(prepared).action
-        silent = policy.decode(prepared, torch.zeros_like(noise[0])).action
+    change = action_change(policy, observations)
     # Where removing everything changes nothing, D is 0 and every gate closes.
-    largest = _squared_distance(target, silent).clamp_min(torch.finfo(target.dtype).tiny)
-
-    def error(mask: Tensor) -> Tensor:
-        return _squared_distance(target, policy.decode(prepared, mask).action) / largest  # (S,)
-
-    w = torch.zeros_like(noise[0], requires_grad=True)
-    multiplier = torch.full_like(largest, settings.init_lambda, requires_grad=True)
-    gates = torch.optim.Adam([w], lr=settings.lr)
+    largest = change(torch.zeros_like(noise[0])).clamp_min(torch.finfo(noise.dtype).tiny)
+    w = torch.zeros_like(noise[0])
+    multiplier = torch.full_like(largest, settings.init_lambda)
+    gates = torch.optim.Adam([w], lr=settings.lr, fused=True)
     ascent = torch.optim.RMSprop([multiplier], lr=settings.lambda_lr, centered=True, maximize=True)
-    kept = torch.ones_like(noise[0])
+    kept = torch.ones_like(w)
     for step, u in enumerate(noise, start=1):
-        with torch.enable_grad():
-            a = w + settings.location
-            z = _straight_through(_stretch(torch.sigmoid((torch.logit(u) + a) / BETA)))
-            violation = torch.relu(error(z) - settings.allowance)
-            open_share = torch.sigmoid(a - BETA * math.log(-GAMMA / ZETA)).mean(dim=(-2, -1))
-            loss = settings.scaling * open_share + torch.nn.functional.softplus(multiplier) * violation
-            w.grad, multiplier.grad = torch.autograd.grad(loss.sum(), [w, multiplier])
+        a = w + settings.location
+        z, slope = _straight_through(a, u)
+        moved, gradient = change.with_gradient(z)
+        violation = torch.relu(moved / largest - settings.allowance)
+        price = torch.nn.functional.softplus(multiplier) * (violation > 0) / largest
+        is_open = torch.sigmoid(a - BETA * math.log(-GAMMA / ZETA))
+        # Of the loss above: the derivatives by hand.
+        w.grad = settings.scaling / w[0].numel() * is_open * (1 - is_open)
+        w.grad += gradient * slope * price[:, None, None]
+        multiplier.grad = torch.sigmoid(multiplier) * violation
         gates.step()
         ascent.step()
-        with torch.no_grad():
-            multiplier.clamp_(MIN_LAMBDA, MAX_LAMBDA)
-            if step % settings.read_every == 0:
-                mask = (_stretch(torch.sigmoid(w + settings.location)) > THRESHOLD).to(w.dtype)
-                fewer = mask.sum(dim=(-2, -1)) < kept.sum(dim=(-2, -1))
-                better = fewer & (error(mask) <= settings.allowance)
-                kept = torch.where(better[:, None, None], mask, kept)
+        multiplier.clamp_(MIN_LAMBDA, MAX_LAMBDA)
+        if step % settings.read_every == 0:
+            mask = (_stretch(torch.sigmoid(w + settings.location)) > THRESHOLD).to(w.dtype)
+            fewer = mask.sum(dim=(-2, -1)) < kept.sum(dim=(-2, -1))
+            better = fewer & (change(mask) / largest <= settings.allowance)
+            kept = torch.where(better[:, None, None], mask, kept)
     return kept
 
 
@@ -115,13 +112,12 @@ def _stretch(s: Tensor) -> Tensor:
     return s * (ZETA - GAMMA) + GAMMA
 
 
-def _straight_through(stretched: Tensor) -> Tensor:
-    soft = stretched.clamp(0, 1)
-    return soft + ((soft > THRESHOLD).to(soft.dtype) - soft).detach()
-
-
-def _squared_distance(a: Tensor, b: Tensor) -> Tensor:
-    return (a - b).square().sum(dim=(-2, -1))
+def _straight_through(a: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Logits and uniform noise -> gates of 0 and 1, and the derivative of what was thresholded."""
+    s = torch.sigmoid((torch.logit(u) + a) / BETA)
+    stretched = _stretch(s)
+    inside = (stretched >= 0) & (stretched <= 1)
+    return (stretched > THRESHOLD).to(a.dtype), inside * s * (1 - s) * ((ZETA - GAMMA) / BETA)
 
 
 def graphmask_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:

@@ -1,6 +1,6 @@
 """A sweep that is killed at any moment and run again writes what an undisturbed one writes, byte for byte.
 
-XMARL_BENCH_KILLS=50 python -m pytest tests/bench/test_survival.py kills at that many moments instead of a few.
+XMARL_BENCH_KILLS=50 python -m pytest tests/bench/test_survival.py kills at so many moments, not at a few.
 """
 
 from __future__ import annotations

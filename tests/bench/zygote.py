@@ -2,7 +2,7 @@
 
     python -m tests.bench.zygote
 
-reads one JSON object a line, {"arguments": [...], "kill_after": seconds or null, "victim": "main" or "worker"},
+reads a JSON object a line, {"arguments": [...], "kill_after": seconds or null, "victim": "main" or "worker"},
 and writes {"code": exit code, "seconds": ..., "killed": bool} for each.
 """
 
@@ -18,7 +18,7 @@ import psutil
 import scipy.stats  # noqa: F401
 
 from xmarl_bench import cli
-from xmarl_bench.commands import board, score, status  # noqa: F401
+from xmarl_bench.commands import board, score  # noqa: F401
 from xmarl_bench.scoring import score_requests  # noqa: F401
 
 

@@ -15,9 +15,14 @@ def worth(card: PolicyCard) -> tuple[float, float]:
     return round(heard["success_rate"], 2), sum(free)
 
 
+def is_checkpoint(card: PolicyCard) -> bool:
+    """Whether it is a moment along a training, and not the end of one."""
+    return "percent" in card.training
+
+
 def is_final(card: PolicyCard) -> bool:
-    """Whether it is the end of a training that was measured, and no checkpoint along one."""
-    return "percent" not in card.training and "with_messages" in card.performance
+    """Whether it is the end of a training, and was measured."""
+    return not is_checkpoint(card) and "with_messages" in card.performance
 
 
 def default_policies(cards: Iterable[PolicyCard]) -> list[PolicyCard]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from xmarl_envs import TASKS
 
 from xmarl_bench.controls import CONTROLS
-from xmarl_bench.default_policies import default_policies
+from xmarl_bench.default_policies import default_policies, is_checkpoint
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.policy.bundle import load_card
@@ -24,7 +24,7 @@ from xmarl_bench.registry import (
 )
 from xmarl_bench.request import Cell, Request, Sampling, check_fit
 
-ALL, DEFAULT = "all", "default"
+ALL, FINISHED, DEFAULT = "all", "finished", "default"
 
 
 def select_policies(
@@ -33,7 +33,8 @@ def select_policies(
     """The policies to run, each with its cells.
 
     `all` policies are those trained for one of the tasks and team sizes asked for; those that bring code are
-    among them with `trust_code` only. `default` is the best seed of each of their cells. A policy asked for
+    among them with `trust_code` only. `finished` are these but for checkpoints along training, `default` the
+    best seed of each of their cells. A policy asked for
     by name, bundle or module:factory runs with every team size asked for, or with its own for `all`.
     """
     sizes = _sizes(agents)
@@ -41,11 +42,13 @@ def select_policies(
         if task != ALL:
             check_task(task)
     wanted_tasks = list(TASKS) if ALL in tasks else list(tasks)
-    if ALL in names or DEFAULT in names:
+    if {ALL, FINISHED, DEFAULT} & set(names):
         cards = {name: load_card(folder) for name, folder in find_policies().items()}
         if trust_code:
             cards |= {name: open_policy(name, trust_code=True)[1] for name in find_code_policies()}
         if ALL not in names:
+            cards = {name: card for name, card in cards.items() if not is_checkpoint(card)}
+        if ALL not in names and FINISHED not in names:
             best = [card.name for card in default_policies(cards.values())]
             cards = {name: card for name, card in cards.items() if card.name in best}
         chosen = [

@@ -44,6 +44,17 @@ def test_checkpoints_and_unmeasured_policies_stand_for_nothing() -> None:
     assert default_policies(cards) == []
 
 
+def test_finished_are_all_but_checkpoints() -> None:
+    every, finished = (
+        {card.name for _, card, _ in select_policies([name], ["all"], ["all"])}
+        for name in ("all", "finished")
+    )
+    checkpoints = every - finished
+    assert checkpoints == {name for name in every if "-at" in name}
+    assert len(checkpoints) == 8
+    assert finished < every
+
+
 def test_default_among_the_shipped_ones() -> None:
     chosen = select_policies(["default"], ["blind_discovery_v0"], ["3"])
     assert [(card.task, card.n_agents) for _, card, _ in chosen] == [("blind_discovery_v0", 3)] * 2

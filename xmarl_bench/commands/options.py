@@ -18,8 +18,9 @@ Policies = Annotated[
     list[str],
     typer.Option(
         "--policy",
-        help="Policy name, folder or zip of a bundle, module:factory, 'all', or 'default': the best seed of "
-        "each task, team size and with or without regulariser. Repeatable.",
+        help="Policy name, folder or zip of a bundle, module:factory, 'all', 'finished': all but checkpoints "
+        "along training, or 'default': the best seed of each task, team size and with or without "
+        "regulariser. Repeatable.",
     ),
 ]
 Explainers = Annotated[

@@ -28,6 +28,7 @@ from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.report import Row, markdown, performance_rows
 from xmarl_bench.request import Cell, Sampling
 from xmarl_bench.study.paper import MAIN as PAPER
+from xmarl_bench.workers import Workers
 
 ROOT = Path(__file__).parent.parent.parent
 READMES = (ROOT / "README.md", ROOT / "baselines" / "README.md")
@@ -130,6 +131,7 @@ def lambda_rows() -> list[Row]:
                 "own edge": f"{start['own_share']:.2f} -> {end['own_share']:.2f}",
                 "most heard": f"{end['most_heard']:.2f}",
                 **both,
+                "episodes": record["performance"]["episodes"],
                 "communication dependence": f"{end['communication_dependence']:.4f}",
                 "command": f"`{record['command']}`",
             }
@@ -145,7 +147,7 @@ def measure_zero_shot() -> None:
         for card in chosen
         for more in (1, 2, 3)
     ]
-    performances = evaluate(pairs, Sampling(episodes=EPISODES), jobs=2, progress=True)
+    performances = evaluate(pairs, Sampling(episodes=EPISODES), workers=Workers(2), progress=True)
     names = [card.name for card in chosen for _ in (1, 2, 3)]
     write_json(
         ZERO_SHOT,

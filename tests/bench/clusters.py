@@ -19,6 +19,7 @@ from distributed import Client
 ROOT = Path(__file__).parents[2]
 SECONDS = 60.0  # for a cluster to be up, on a busy machine
 RAY_TOKEN = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}  # Ray reads it once a process
+RAY_NICENESS = {"RAY_worker_niceness": "0"}  # 15 by default: for minutes nothing, where the machine is busy
 
 
 @contextmanager
@@ -26,7 +27,7 @@ def ray_cluster() -> Iterator[str]:
     """Yields the address of a head with two cores, on which Ray starts two workers. It takes work only from
     those who have a token of this process: it listens on every network of the machine."""
     port = free_port()
-    os.environ.update(RAY_TOKEN)
+    os.environ.update(RAY_TOKEN | RAY_NICENESS)
     # Not pytest's folder: the paths of Ray's sockets may have 107 characters.
     with tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True) as folder:
         head = start(
@@ -39,7 +40,7 @@ def ray_cluster() -> Iterator[str]:
             yield f"127.0.0.1:{port}"
         finally:
             end(head)
-            for name in RAY_TOKEN:
+            for name in RAY_TOKEN | RAY_NICENESS:
                 del os.environ[name]
 
 

@@ -1,0 +1,58 @@
+"""Fan-out on a real Ray cluster: a head on loopback that starts two workers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from tests.bench import units_of_work
+from tests.bench.clusters import ray_cluster
+from tests.bench.units_of_work import kill_worker_once, some_rollouts
+from xmarl_bench.fan_out import Failure, fan_out, in_order
+from xmarl_bench.workers import Workers
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def workers() -> Iterator[Workers]:
+    with ray_cluster() as address:
+        yield Workers(None, "ray", address)
+
+
+def test_two_processes_compute(workers: Workers) -> None:
+    pids = {pid for _, pid in fan_out(units_of_work.process, range(30), workers=workers)}
+    assert len(pids) == 2
+
+
+def test_results_are_those_of_one_process_though_a_worker_was_killed(
+    workers: Workers, tmp_path: Path
+) -> None:
+    rollouts = some_rollouts()
+    expected = [rollout.play() for rollout in rollouts]
+    units = [(rollout, tmp_path / "killed" if k == 2 else None) for k, rollout in enumerate(rollouts)]
+    played = list(in_order(kill_worker_once, units, workers=workers))
+    assert (tmp_path / "killed").exists()
+    assert units_of_work.to_the_bit(played) == units_of_work.to_the_bit(expected)
+
+
+def test_failures_stay_alone(workers: Workers) -> None:
+    returned = dict(fan_out(units_of_work.fail, [0, 1, 2, 3, 4, 5], workers=workers))
+    errors = {k: each.error for k, each in returned.items() if isinstance(each, Failure)}
+    assert (returned[0], returned[5], sorted(errors)) == (0, 5, [1, 2, 3, 4])
+    assert errors[1] == "a sentence of its own."
+    returned = dict(fan_out(units_of_work.kill_worker, range(6), workers=workers))
+    failure = returned.pop(3)
+    assert isinstance(failure, Failure)
+    assert failure.error.startswith("its worker died twice")
+    assert returned == {k: k for k in range(6) if k != 3}
+
+
+def test_jobs_bounds_what_is_under_way(workers: Workers) -> None:
+    one = Workers(1, "ray", workers.address)
+    times = [times for _, times in fan_out(units_of_work.started_and_ended, range(6), workers=one)]
+    times.sort()
+    assert all(ended <= started for (_, ended), (started, _) in pairwise(times))

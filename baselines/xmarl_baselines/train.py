@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -19,12 +18,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from xmarl_baselines.recipes import recipe_for
 from xmarl_baselines.reference import EPISODES, reference_runs, run_named, schedule_runs
 from xmarl_baselines.trainer import Report, Run, train
+from xmarl_bench.commands.options import Address, Backend
 from xmarl_bench.errors import InputError
 from xmarl_bench.evaluation import Performance, evaluate_policy
+from xmarl_bench.fan_out import Failure, fan_out
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.report import performance_rows, print_rows
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell
+from xmarl_bench.workers import Workers
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -37,7 +39,14 @@ def command(
     reproduce: Annotated[
         str | None, typer.Option(help="a reference policy to train exactly as it was, or `all` of them")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="trainings side by side, with --reproduce all")] = 1,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            help="trainings side by side, with --reproduce all; by default 1, with --backend every worker"
+        ),
+    ] = None,
+    backend: Backend = "loky",
+    address: Address = None,
     agents: Annotated[int, typer.Option(help="team size N")] = 3,
     attention_entropy: Annotated[
         float, typer.Option(min=0, help="lambda of the attention-entropy term")
@@ -62,7 +71,7 @@ def command(
             "give either --task, to train a policy of your own, or --reproduce, a name or `all`."
         )
     if reproduce == "all":
-        raise typer.Exit(train_missing(out, jobs))
+        raise typer.Exit(train_missing(out, Workers(jobs, backend, address)))
     if reproduce is not None:
         run = run_named(reproduce)
         _train(run, out, resume=resume, start_from=None, episodes=EPISODES)
@@ -91,30 +100,41 @@ def _train(run: Run, out: Path, *, resume: bool, start_from: Path | None, episod
     print(f"policy in {folder / 'policy'}: xmarl-bench score --policy {folder / 'policy'}")
 
 
-def train_missing(out: Path, jobs: int) -> int:
+def train_missing(out: Path, workers: Workers) -> int:
     """Train the reference policies that `out` has no finished run of, each in a process; returns exit code.
 
     Runs begun earlier are resumed. One that fails does not stop the others; its output is in `out`/NAME.log.
+    Workers on other machines need `out` on a file system that all share.
     """
     missing = [name for name in reference_runs() if not (out / name / "policy" / "policy.json").exists()]
     out.mkdir(parents=True, exist_ok=True)
-
-    def train_one(name: str) -> int:
-        command = [sys.executable, "-m", "xmarl_baselines.train", "--reproduce", name]
-        with (out / f"{name}.log").open("a") as log:
-            return subprocess.run(
-                [*command, "--out", str(out), "--resume"], stdout=log, stderr=subprocess.STDOUT
-            ).returncode
-
     console = Console(stderr=True)
     failed = 0
-    with ThreadPoolExecutor(jobs) as pool:
-        futures = {pool.submit(train_one, name): name for name in missing}
-        for done, future in enumerate(as_completed(futures), start=1):
-            failed += future.result() != 0
-            outcome = "trained" if future.result() == 0 else "FAILED, see its log"
-            console.print(f"{done} of {len(missing)}: {futures[future]} {outcome}", highlight=False)
+    units = [(name, out.resolve()) for name in missing]
+    for done, (k, code) in enumerate(fan_out(_reproduce, units, workers=workers), start=1):
+        outcome = "trained"
+        if code != 0:
+            failed += 1
+            outcome = f"FAILED, {code.error}" if isinstance(code, Failure) else "FAILED, see its log"
+        console.print(f"{done} of {len(missing)}: {missing[k]} {outcome}", highlight=False)
     return 1 if failed else 0
+
+
+def _reproduce(unit: tuple[str, Path]) -> int:
+    """In a process of its own, which a checkpoint outlives; returns its exit code."""
+    name, out = unit
+    command = [
+        sys.executable,
+        "-m",
+        "xmarl_baselines.train",
+        "--reproduce",
+        name,
+        "--out",
+        str(out),
+        "--resume",
+    ]
+    with (out / f"{name}.log").open("a") as log:
+        return subprocess.run(command, stdout=log, stderr=subprocess.STDOUT).returncode
 
 
 def _check_start(folder: Path, task: str, agents: int) -> None:

@@ -16,6 +16,7 @@ from tests.baselines.test_training import short_validation, small
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import load_policy
 from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.workers import Workers
 
 __all__ = ["short_validation"]  # a fixture, for every test here
 
@@ -59,6 +60,7 @@ def test_a_run_ends_with_a_policy_that_loads(
         (("--task", "blind_passage_v0", "--start-from", "nowhere"), "checkpoint"),
         (("--task", "blind_passage_v0", "--attention-entropy", "-1"), "equal to 0"),
         (("--task", "blind_passage_v0", "--frames", "0"), "equal to 1"),
+        (("--reproduce", "all", "--address", "127.0.0.1:9"), "of no use to loky"),
     ],
 )
 def test_bad_input_is_refused(tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
@@ -108,7 +110,7 @@ def test_reproduce_all_trains_what_is_missing_and_says_what_failed(
         (tmp_path / name / "policy").mkdir(parents=True)
     (tmp_path / names[0] / "policy" / "policy.json").write_text("{}")
     (tmp_path / names[1] / "settings.json").write_text("{}")
-    assert train_missing(tmp_path, jobs=2) == 1
+    assert train_missing(tmp_path, Workers(2)) == 1
     said = capfd.readouterr().err
     assert "2 of 2" in said and names[0] not in said
     assert f"{names[1]} FAILED" in said

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from xmarl_bench.errors import InputError
 
 if TYPE_CHECKING:  # torch takes a worker seconds to import, and few of these need it
+    from xmarl_bench.measure import Unit
     from xmarl_bench.rollout import Episode, Rollout
 
 
@@ -102,3 +103,16 @@ def to_the_bit(played: list[list[Episode]]) -> list[tuple[object, ...]]:
         for episodes in played
         for each in episodes
     ]
+
+
+def twenty_kilobytes(number: int) -> bytes:
+    return number.to_bytes(4, "big") * 5000
+
+
+def memory(units: tuple[Unit, ...]) -> int:
+    """Bytes that this process holds after scoring."""
+    import psutil
+
+    for unit in units:
+        unit.run()
+    return int(psutil.Process().memory_info().rss)

@@ -1,0 +1,126 @@
+"""Fan-out: what a cell costs beside its work, what 2 workers gain, what memory parent and workers hold.
+
+Memory and overhead hold on a busy machine too; the gain of 2 workers can be seen only where 2 cores are idle.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cloudpickle
+import psutil
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+from xmarl_baselines.explainers.attention import attention
+from xmarl_envs import make_task
+
+from tests.bench.units_of_work import memory, twenty_kilobytes
+from tests.benchmarks.conftest import Report
+from xmarl_bench.fan_out import fan_out
+from xmarl_bench.measure import Unit
+from xmarl_bench.policy import load_policy
+from xmarl_bench.registry import find_explainer, find_policies
+from xmarl_bench.request import Cell, Request, Sampling
+from xmarl_bench.rollout import roll_out
+from xmarl_bench.scoring import Failed, score_requests
+from xmarl_bench.store import Store
+from xmarl_bench.workers import Workers
+
+TITLE = "fan-out"
+CELLS, OVERHEAD = 5000, 0.020  # seconds per cell
+GROWTH = (
+    30 * 2**20
+)  # bytes of this process from the 1000th cell to the last: results are 20 kB, 80 MB of them
+GAIN = 1.7
+POLICY = "passage-n5-lambda0-seed0"
+
+
+def test_soak(benchmark: BenchmarkFixture, report: Report, tmp_path: Path) -> None:
+    """5,000 cells of no work at all, each result written through the store."""
+    store = Store(tmp_path)
+    store.prepare()
+    sizes: dict[int, int] = {}
+
+    def soak() -> None:
+        for done, (k, result) in enumerate(
+            fan_out(twenty_kilobytes, _numbers(), workers=Workers(2)), start=1
+        ):
+            assert isinstance(result, bytes)
+            store.write(hashlib.sha256(str(k).encode()).hexdigest(), result)
+            if done in (1000, CELLS):
+                sizes[done] = psutil.Process().memory_info().rss
+
+    benchmark.pedantic(soak, rounds=1)  # type: ignore[no-untyped-call]
+    if benchmark.stats is None:  # --benchmark-disable
+        return
+    overhead = benchmark.stats.stats.mean / CELLS
+    grown = sizes[CELLS] - sizes[1000]
+    report(
+        TITLE,
+        f"{CELLS} cells: {1000 * overhead:.1f} ms each < {1000 * OVERHEAD:.0f}; parent {_mb(sizes[1000])} "
+        f"after 1000, {_mb(sizes[CELLS])} after all",
+    )
+    assert sum(1 for _ in tmp_path.glob("??/" + "?" * 64)) == CELLS
+    assert overhead < OVERHEAD
+    assert grown < GROWTH
+
+
+def _numbers() -> Iterator[int]:
+    yield from range(CELLS)
+
+
+def test_two_workers_over_one(benchmark: BenchmarkFixture, report: Report, tmp_path: Path) -> None:
+    """Ten episodes of a shipped policy scored with three explainers, from nothing, in turns."""
+    if (os.cpu_count() or 1) < 2:
+        pytest.skip("needs two cores")
+    policy, card = load_policy(find_policies()[POLICY])
+    cell, sampling = Cell(card.task, card.n_agents), Sampling(episodes=10)
+    requests = [
+        Request(policy, card, find_explainer(name), (cell,), sampling, 0 if name == "gnn_explainer" else None)
+        for name in ("attention", "gnn_explainer", "occlusion")
+    ]
+
+    def score(jobs: int, folder: str) -> float:
+        started = time.perf_counter()
+        store = Store(tmp_path / folder)
+        outcomes = list(score_requests(requests, workers=Workers(jobs), store=store))
+        assert not any(isinstance(each, Failed) for each in outcomes)
+        return time.perf_counter() - started
+
+    score(2, "warm")  # workers have imported torch
+    one: list[float] = []
+    two: list[float] = []
+
+    def both() -> None:
+        one.append(score(1, f"one{len(one)}"))
+        two.append(score(2, f"two{len(two)}"))
+
+    benchmark.pedantic(both, rounds=3)  # type: ignore[no-untyped-call]
+    if benchmark.stats is None:
+        return
+    gain = sorted(a / b for a, b in zip(one, two, strict=True))[len(one) // 2]
+    report(TITLE, f"2 workers over 1: {gain:.2f} times >= {GAIN} ({min(one):.1f} s and {min(two):.1f} s)")
+    assert gain >= GAIN
+
+
+def test_memory_and_size_of_a_unit(benchmark: BenchmarkFixture, report: Report) -> None:
+    """What a worker holds that scores the largest team's policy, and what it costs to hand it an episode."""
+    policy, card = load_policy(find_policies()[POLICY])
+    seeds = list(range(10**12, 10**12 + 10))
+    episodes = roll_out(make_task(card.task, card.n_agents), policy, seeds)
+    units = tuple(Unit(policy, (attention,), each, 0, None, sanity=True) for each in episodes)
+    data = benchmark(cloudpickle.dumps, units)
+    seconds = "" if benchmark.stats is None else f" in {1000 * benchmark.stats.stats.mean:.1f} ms"
+    report(TITLE, f"a policy with 10 episodes is pickled into {len(data) / 1e6:.2f} MB{seconds}")
+    held = [size for _, size in fan_out(memory, [units] * 4, workers=Workers(2)) if isinstance(size, int)]
+    assert len(held) == 4
+    report(TITLE, f"memory of a worker that scored 10 episodes of {POLICY}: {_mb(max(held))}")
+    assert max(held) < 2**30
+
+
+def _mb(n_bytes: int) -> str:
+    return f"{n_bytes / 2**20:.0f} MB"

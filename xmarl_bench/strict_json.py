@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ MAX_BYTES = 16 * 1024 * 1024
 # Each delimiter is at most one more value to validate, at some microseconds each: a bound on time.
 MAX_VALUES = 200_000
 MAX_DIGITS = 19  # of an integer: more than 2**53, which readers in other languages keep exact
+_LONG = re.compile(rb"[:,\[](?:-[0-9]{%d}|[0-9]{%d})" % (MAX_DIGITS + 1, MAX_DIGITS + 2))
 
 
 def parse_json(data: bytes, *, max_bytes: int = MAX_BYTES) -> Any:
@@ -25,10 +27,7 @@ def parse_json(data: bytes, *, max_bytes: int = MAX_BYTES) -> Any:
     Raises ValueError, whose text is a clause without a full stop, for what is no JSON, holds NaN, infinity or
     one key twice, or is too large, too deep (about a thousand levels) or of too many values.
     """
-    if len(data) > max_bytes:
-        raise ValueError(f"holds {len(data)} bytes, more than the {max_bytes} that are read")
-    if data.count(b",") + data.count(b"[") + data.count(b"{") > MAX_VALUES:
-        raise ValueError(f"holds more than the {MAX_VALUES} values that are read")
+    check_size(data, max_bytes)
     try:
         return json.loads(
             data.decode(),
@@ -43,6 +42,19 @@ def parse_json(data: bytes, *, max_bytes: int = MAX_BYTES) -> Any:
         raise ValueError(f"is no JSON ({error.msg} in line {error.lineno})") from None
     except RecursionError:
         raise ValueError("is nested too deep") from None
+
+
+def check_size(data: bytes, max_bytes: int = MAX_BYTES) -> None:
+    """Raises ValueError, as `parse_json` does, for too many bytes or values."""
+    if len(data) > max_bytes:
+        raise ValueError(f"holds {len(data)} bytes, more than the {max_bytes} that are read")
+    if data.count(b",") + data.count(b"[") + data.count(b"{") > MAX_VALUES:
+        raise ValueError(f"holds more than the {MAX_VALUES} values that are read")
+
+
+def has_long_integer(text: bytes) -> bool:
+    """Whether canonical JSON holds an integer that `parse_json` refuses, or a string that looks like it."""
+    return _LONG.search(text) is not None
 
 
 def shown(value: object, length: int = 80) -> str:

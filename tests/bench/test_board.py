@@ -147,7 +147,7 @@ def test_no_entries_is_an_empty_board(tmp_path: Path) -> None:
 
 def test_an_invalid_entry_is_refused_before_anything_is_written(tmp_path: Path, entries: list[Entry]) -> None:
     path = write_entry(tmp_path / "entries", entries[0])
-    path.write_text(path.read_text().replace('"submitter": null', '"submitter": "x"'))
+    path.write_text(path.read_text().replace('"submitter":null', '"submitter":"x"'))
     with pytest.raises(InputError, match=re.escape(path.name)):
         build_board(tmp_path)
     assert not (tmp_path / "leaderboard.json").exists()

@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from xmarl_bench.entry import Entry, Verification, entry_id
+from xmarl_bench.entry import Entry, Verification, entry_id, entry_text
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import pretty_json, write_atomically
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS, read_member
@@ -46,7 +46,7 @@ def bundle_files(
         name = f"entries/{entry.file_name}"
         if name in files:
             raise InputError(f"two of the entries are {entry.file_name}: give each score once.")
-        files[name] = pretty_json(entry.model_dump(mode="json"))
+        files[name] = entry_text(entry)
         files[f"rows/{entry.file_name.removesuffix('.json')}.csv"] = rows_csv(entry)
     for name, folder in policies.items():
         for file in (CARD, WEIGHTS):

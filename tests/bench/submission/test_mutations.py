@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from tests.bench.submission.edits import with_id, with_manifest
-from xmarl_bench.entry import Entry
+from xmarl_bench.entry import Entry, entry_text
 from xmarl_bench.errors import InputError
-from xmarl_bench.files import pretty_json
+from xmarl_bench.files import canonical_json
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.checking import check
 from xmarl_bench.submission.packing import write_bundle
@@ -51,11 +51,11 @@ def mutated(data: bytes, paths: list[Place], rng: random.Random, *, fit_id: bool
         cut = rng.randrange(1, len(data) - 20)
         return data[:cut] + rng.choice([b"", b"\xff\xfe", b"}", b"\x00", data[:cut]])
     if kind == "twice" and isinstance(key, str):
-        name = json.dumps(key)
-        return json.dumps(value).replace(f"{name}: ", f"{name}: null, {name}: ", 1).encode()
+        name = json.dumps(key).encode()
+        return canonical_json(value).replace(name + b":", name + b":null," + name + b":", 1)
     if kind == "raw":
         holder[key] = "@@@"
-        return json.dumps(value).replace('"@@@"', rng.choice(RAW), 1).encode()
+        return canonical_json(value).replace(b'"@@@"', rng.choice(RAW).encode(), 1)
     if kind == "missing" and isinstance(holder, dict):
         del holder[key]
     elif kind == "extra" and isinstance(holder, dict):
@@ -66,7 +66,7 @@ def mutated(data: bytes, paths: list[Place], rng: random.Random, *, fit_id: bool
         holder[key], far[other[-1]] = far[other[-1]], holder[key]
     else:
         holder[key] = rng.choice(VALUES)
-    return json.dumps(with_id(value) if fit_id else value).encode()
+    return canonical_json(with_id(value) if fit_id else value)
 
 
 def refused(path: Path) -> float:
@@ -95,7 +95,7 @@ def same(text: bytes, original: bytes) -> bool:
 
 def test_mutated_entries_are_refused(tmp_path: Path, entries: list[Entry]) -> None:
     rng = random.Random(7)
-    data = pretty_json(entries[0].model_dump(mode="json"))
+    data = entry_text(entries[0])
     paths = [path for path in places(json.loads(data)) if path]
     # What the id covers; the rest is checked for its form alone.
     paths = [path for path in paths if path[0] not in ("verification", "provenance", "cost")]

@@ -1,11 +1,13 @@
 """A board of 2,000 entries: built in under a minute, and sorted in under a second in Chromium.
 
 Made entries: 200 policies with ten explainers each. The times are those of this machine at this moment, so
-they are printed, and held to the bars with nothing else on top: run it on a machine that is not busy.
+they are printed, and held to the bars with nothing else on top: run it on a machine that is not busy. Beside
+the build's time is that of the processor, which others' work moves less.
 """
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -30,7 +32,9 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_build(benchmark: BenchmarkFixture, many: Path) -> None:
+    started = time.process_time()
     benchmark.pedantic(build_board, args=(many,), rounds=1)  # type: ignore[no-untyped-call]
+    benchmark.extra_info["cpu_seconds"] = round(time.process_time() - started, 1)
     assert benchmark.stats is None or benchmark.stats.stats.max < BUILD_SECONDS
     needed = [
         many / "index.html",

@@ -319,4 +319,4 @@ def test_bad_recipes_and_tasks_are_refused() -> None:
     with pytest.raises(InputError, match=r"unknown|no training recipe"):
         recipe_for("blind_chess_v0")
     with pytest.raises(InputError, match="batch_size must be from 1 to"):
-        small(batch_size=7)
+        small(batch_size=10_000)

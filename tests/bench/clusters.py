@@ -91,7 +91,7 @@ def start(module: str, *arguments: str) -> subprocess.Popen[bytes]:
 def wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
     until = time.monotonic() + SECONDS
     while time.monotonic() < until:
-        assert process.poll() is None, f"{process.args} ended with {process.returncode}"
+        assert process.poll() is None, f"{process.args!r} ended with {process.returncode}"
         with socket.socket() as tried:
             if tried.connect_ex(("127.0.0.1", port)) == 0:
                 return

@@ -10,7 +10,8 @@ import pytest
 
 from tests.bench import units_of_work
 from tests.bench.clusters import dask_cluster
-from tests.bench.units_of_work import kill_worker_once, some_rollouts
+from tests.bench.units_of_work import entries, kill_worker_once, some_rollouts
+from tests.conftest import MakeBundle
 from xmarl_bench.errors import InputError
 from xmarl_bench.fan_out import Failure, fan_out, in_order
 from xmarl_bench.workers import Workers
@@ -56,10 +57,14 @@ def test_a_unit_that_kills_its_workers_is_a_failure_at_last() -> None:
     assert returned == {k: k for k in range(6) if k != 3}
 
 
+def test_entries_are_those_of_one_process(workers: Workers, make_bundle: MakeBundle) -> None:
+    bundle = make_bundle()
+    assert entries(bundle, workers) == entries(bundle, Workers())
+
+
 def test_jobs_bounds_what_is_under_way(workers: Workers) -> None:
     one = Workers(1, "dask", workers.address)
-    times = [times for _, times in fan_out(units_of_work.started_and_ended, range(6), workers=one)]
-    times.sort()
+    times = sorted(in_order(units_of_work.started_and_ended, range(6), workers=one))
     assert all(ended <= started for (_, ended), (started, _) in pairwise(times))
 
 

@@ -13,6 +13,7 @@ from xmarl_bench.errors import InputError
 if TYPE_CHECKING:  # torch takes a worker seconds to import, and few of these need it
     from xmarl_bench.measure import Unit
     from xmarl_bench.rollout import Episode, Rollout
+    from xmarl_bench.workers import Workers
 
 
 def square(number: int) -> int:
@@ -35,7 +36,7 @@ class AwkwardError(Exception):
         super().__init__(first)
 
 
-def fail(number: int) -> object:
+def fail(number: object) -> object:
     if number == 1:
         raise InputError("a sentence of its own.")
     if number == 2:
@@ -116,3 +117,24 @@ def memory(units: tuple[Unit, ...]) -> int:
     for unit in units:
         unit.run()
     return int(psutil.Process().memory_info().rss)
+
+
+def entries(bundle: Path, workers: Workers) -> list[str]:
+    """What scoring makes, without times and machine: by attention, and by one that draws random numbers."""
+    from xmarl_bench.entry import Entry
+    from xmarl_bench.policy import load_policy
+    from xmarl_bench.registry import find_explainer
+    from xmarl_bench.request import Cell, Request, Sampling
+    from xmarl_bench.scoring import score_requests
+
+    policy, card = load_policy(bundle)
+    sampling = Sampling(episodes=2, timesteps=1, max_cycles=4)
+    requests = [
+        Request(policy, card, find_explainer(name), (Cell(card.task, card.n_agents),), sampling, n)
+        for name, n in (("attention", 2), ("gnn_explainer", 0))
+    ]
+    made = []
+    for entry in score_requests(requests, workers=workers):
+        assert isinstance(entry, Entry), entry
+        made.append(entry.model_dump_json(exclude={"provenance", "cost"}))
+    return made

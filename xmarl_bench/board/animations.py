@@ -1,7 +1,7 @@
 """A small animation for each entry: its first episode, with the explanation drawn.
 
-They are named by the entry's id and never drawn twice. An entry has none where its policy or explainer is
-not installed here; the page does without.
+They are named by the entry's id and never drawn twice: a drawing that was stopped goes on where it was. An
+entry has none where its policy or explainer is not installed here; the page does without.
 """
 
 from __future__ import annotations
@@ -11,20 +11,21 @@ from pathlib import Path
 
 from xmarl_bench.animation import write_animation
 from xmarl_bench.board.build import ANIMATIONS, animation_name
-from xmarl_bench.entry import Entry, read_entries
+from xmarl_bench.entry import Entry, read_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import load_policy
 from xmarl_bench.recording import Recording, record
 from xmarl_bench.registry import find_explainer, find_policy
 from xmarl_bench.request import Cell
 
-Played = dict[tuple[object, ...], Recording]  # explainers of a policy share their episode
+Played = dict[tuple[object, ...], Recording]
 
 
 def draw_missing(folder: Path) -> Iterator[str]:
     """Draw what FOLDER/animations/ lacks; yields a line for each animation, or why there is none."""
-    played: Played = {}
-    for _, entry in read_entries(folder / "entries"):
+    played: Played = {}  # by the policy before: explainers of one share an episode, and files lie by policy
+    for file in sorted((folder / "entries").glob("*.json")):
+        entry = read_entry(file)
         path = folder / ANIMATIONS / animation_name(entry)
         if path.exists():
             continue
@@ -42,6 +43,7 @@ def _draw(entry: Entry, path: Path, played: Played) -> int:
     cell, seed = entry.results[0], entry.explainer.seed
     key = (entry.policy.weights_sha256, cell.task, cell.n_agents, cell.max_cycles, seed)
     if key not in played:
+        played.clear()
         policy, card = load_policy(find_policy(entry.policy.name))
         if card.weights_sha256 != entry.policy.weights_sha256:
             raise InputError(f"the installed policy {entry.policy.name!r} has other weights.")

@@ -5,7 +5,8 @@ sees another's mask. S is the number of timesteps, N agents, A action entries.
 
 On a frozen policy of one attention layer it is computed without autograd: forward and straight back for ROWS
 agents, while their activations are in the cache, and for the action's location alone, not its scale. Measured
-on one core of an AMD EPYC: a quarter less time than autograd over the chunk takes.
+on one core of an AMD EPYC, N = 8, decoder (256, 256): a step of GNNExplainer takes 8.4 ms for 512 timesteps,
+10.6 ms by autograd over all of them at once.
 """
 
 from __future__ import annotations

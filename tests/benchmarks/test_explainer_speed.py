@@ -6,7 +6,8 @@ PyG explains a few of the same states on the policy as it is, as its manual says
 best round of each counts. `ratio` is what one of PyG's explanations costs divided by what one of ours does.
 
 PyG's GNNExplainer computes gradients of the policy's weights, too, which nobody asks for; GraphMask does not.
-`ratio_to_frozen` is that to a user's PyG who has switched them off.
+`ratio_to_frozen` is the ratio to a PyG for which the user has switched them off. A busy machine slows PyG's
+many small steps more than our large products: only ratios of a quiet one can be quoted.
 """
 
 from __future__ import annotations

@@ -220,6 +220,7 @@ def connected(workers: Workers) -> Iterator[Backend]:
 def _ray(workers: Workers) -> Iterator[RayBackend]:
     """A process that is connected already stays so, to where it is."""
     import ray
+    from ray.exceptions import RayError
 
     connect = not ray.is_initialized()
     if connect:
@@ -235,7 +236,7 @@ def _ray(workers: Workers) -> Iterator[RayBackend]:
                 log_to_driver=False,
                 **(here if workers.address is None else {}),
             )
-        except (ConnectionError, RuntimeError, TimeoutError, ValueError) as error:
+        except (ConnectionError, RayError, RuntimeError, TimeoutError, ValueError) as error:
             raise _unreachable("ray", str(workers.address), error) from error
     try:
         has = int(ray.cluster_resources().get("CPU", 0))

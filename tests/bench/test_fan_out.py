@@ -127,6 +127,7 @@ def test_a_worker_that_dies_costs_only_the_unit_that_kills_it() -> None:
         list(in_order(units_of_work.kill_worker, range(5), workers=TWO))
 
 
+@pytest.mark.slow
 def test_entries_of_two_processes_are_those_of_one(make_bundle: MakeBundle) -> None:
     bundle = make_bundle()
     assert units_of_work.entries(bundle, TWO) == units_of_work.entries(bundle, Workers())

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from xmarl_bench import load_policy
 from xmarl_bench.policy.architecture import MAX_LAYER_WIDTH
-from xmarl_bench.policy.build import MAX_PARAMETERS
 from xmarl_bench.policy.convert import rename
+from xmarl_bench.policy.shapes import MAX_PARAMETERS
 
 PAGE = (Path(__file__).parent.parent / "docs" / "policies.md").read_text(encoding="utf-8")
 

@@ -11,14 +11,14 @@ from xmarl_envs import TASKS
 from xmarl_bench.behaviour import Played
 from xmarl_bench.controls import INVERTED, RANDOM
 from xmarl_bench.entry import CellResult, ControlMetrics, Cost, EpisodeRow
-from xmarl_bench.finished import Finished
 from xmarl_bench.measure import Explained, Shared
 from xmarl_bench.not_measured import not_measured
 from xmarl_bench.request import Cell, Request
 from xmarl_bench.rollout import Episode, mean_metrics
 from xmarl_bench.states import Values, number
 from xmarl_bench.summary import BEHAVIOUR, SANITY, cell_metrics, control_metrics
-from xmarl_bench.work import Needs
+from xmarl_bench.sweep.finished import Finished
+from xmarl_bench.sweep.work import Needs
 
 KEPT = (
     4  # controls of cells that are kept for the next entry: explainers of a policy come one after the other

@@ -18,7 +18,7 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.request import Cell, Sampling
 from xmarl_bench.rollout import Episode, Rollout, check_parallel, mean_metrics
-from xmarl_bench.work import BLOCK
+from xmarl_bench.sweep.work import BLOCK
 from xmarl_bench.workers import ONE_PROCESS, Workers
 
 

@@ -21,8 +21,8 @@ from xmarl_bench.explainer import Explainer
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.registry import explainer_names, find_explainer, registered_policies
-from xmarl_bench.run_record import Progress, RunRecord
 from xmarl_bench.scoring import Failed
+from xmarl_bench.sweep.run_record import Progress, RunRecord
 
 Row = dict[str, Any]
 Outcome = TypeVar("Outcome")

@@ -19,7 +19,6 @@ from xmarl_bench.entry import Entry, ExplainerRecord, PolicyRecord, Protocol, ma
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.files import canonical_json
-from xmarl_bench.finished import Finished
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy_module import PolicyModule
 from xmarl_bench.protocol import DEFINITIONS
@@ -27,10 +26,11 @@ from xmarl_bench.provenance import now, provenance
 from xmarl_bench.registry import FoundExplainer, as_found, find_explainer, open_policy
 from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.rollout import check_parallel
-from xmarl_bench.run_record import RunRecord
-from xmarl_bench.store import Store
-from xmarl_bench.sweep import Sweep
-from xmarl_bench.work import Plan
+from xmarl_bench.sweep.compute import Sweep
+from xmarl_bench.sweep.finished import Finished
+from xmarl_bench.sweep.run_record import RunRecord
+from xmarl_bench.sweep.store import Store
+from xmarl_bench.sweep.work import Plan
 from xmarl_bench.workers import ONE_PROCESS, Workers
 
 

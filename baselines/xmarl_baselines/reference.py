@@ -23,8 +23,8 @@ LAMBDAS = {
     "blind_passage_v0": {3: 0.03, 4: 0.01, 5: 0.01},  # with 0.01, N = 3 keeps 0.58 of its entropy
     "blind_discovery_v0": dict.fromkeys(SIZES, 0.05),
 }
-# Times the recipe's imitation. One of passage's five slots is empty at N = 4, each as often as the others: seeds
-# 0, 1, 2 reached 0.92, 0.90, 0.78 success with the usual 150 rounds.
+# Times the recipe's imitation. One of passage's five slots is empty at N = 4, each as often as the others:
+# seeds 0, 1, 2 reached 0.92, 0.90, 0.78 success with the usual 150 rounds.
 PROLONGED = {("blind_passage_v0", 4): 2}
 # The paper's (Kailas et al., ICML 2025, appendix).
 PAPER_LAMBDAS = {"blind_navigation_v0": 10.0, "blind_passage_v0": 50.0, "blind_discovery_v0": 50.0}

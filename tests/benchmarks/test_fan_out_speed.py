@@ -27,7 +27,7 @@ from xmarl_bench.registry import find_explainer, find_policies
 from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.rollout import roll_out
 from xmarl_bench.scoring import Failed, score_requests
-from xmarl_bench.store import Store
+from xmarl_bench.sweep.store import Store
 from xmarl_bench.workers import Workers
 
 TITLE = "fan-out"

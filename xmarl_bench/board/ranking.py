@@ -82,7 +82,7 @@ def _sums(by_episode: Floats, drawn: NDArray[np.int64]) -> Floats:
     To gather all (n, k, R) numbers first would take five times as long, most of it waiting for memory.
     """
     first, *others = np.ascontiguousarray(drawn.T)
-    total = np.take(by_episode, first, axis=0)
+    total: Floats = np.take(by_episode, first, axis=0)
     taken = np.empty_like(total)
     for each in others:
         total += np.take(by_episode, each, axis=0, out=taken, mode="clip")  # "raise" would buffer `out`

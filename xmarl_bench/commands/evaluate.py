@@ -19,7 +19,6 @@ from xmarl_bench.commands.options import (
     Seed,
     Tasks,
     TrustCode,
-    workers_of,
 )
 
 
@@ -43,13 +42,14 @@ def evaluate(
     from xmarl_bench.evaluation import evaluate as run
     from xmarl_bench.request import Sampling
     from xmarl_bench.selection import select_policies
+    from xmarl_bench.workers import Workers
 
     selected = select_policies(policy, task, agents, trust_code=trust_code)
     pairs = [(network, card, cell) for network, card, cells in selected for cell in cells]
     performances = run(
         [(network, cell) for network, _, cell in pairs],
         Sampling(episodes=episodes, max_cycles=max_cycles, seed=seed),
-        workers=workers_of(jobs, backend, address),
+        workers=Workers(jobs, backend, address),
         parallel_episodes=parallel_episodes,
         progress=True,
     )

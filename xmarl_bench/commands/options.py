@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
-
-if TYPE_CHECKING:
-    from xmarl_bench.workers import Workers
 
 Tasks = Annotated[list[str], typer.Option("--task", help="Task, or 'all'. Repeatable.")]
 Agents = Annotated[
@@ -64,10 +61,3 @@ Cells = Annotated[
 Resume = Annotated[
     bool, typer.Option(help="Use finished work that is kept; with --no-resume it is computed again.")
 ]
-
-
-def workers_of(jobs: int | None, backend: Literal["loky", "ray", "dask"], address: str | None) -> Workers:
-    """One process unless more are asked for; of a cluster, every worker."""
-    from xmarl_bench.workers import Workers
-
-    return Workers(1 if jobs is None and backend == "loky" else jobs, backend, address)

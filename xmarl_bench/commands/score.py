@@ -23,9 +23,8 @@ from xmarl_bench.commands.options import (
     Seed,
     Tasks,
     TrustCode,
-    workers_of,
 )
-from xmarl_bench.store import DEFAULT_FOLDER
+from xmarl_bench.sweep.store import DEFAULT_FOLDER
 
 
 def score(
@@ -83,9 +82,10 @@ def score(
     from xmarl_bench.request import Sampling
     from xmarl_bench.scoring import Failed, score_requests
     from xmarl_bench.selection import plan, select_explainers, select_policies
-    from xmarl_bench.store import Store
+    from xmarl_bench.sweep.store import Store
+    from xmarl_bench.workers import Workers
 
-    workers = workers_of(jobs, backend, address)
+    workers = Workers(jobs, backend, address)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
     slow = replace(
         sampling,

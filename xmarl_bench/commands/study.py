@@ -17,9 +17,8 @@ from xmarl_bench.commands.options import (
     Policies,
     Resume,
     Seed,
-    workers_of,
 )
-from xmarl_bench.store import DEFAULT_FOLDER
+from xmarl_bench.sweep.store import DEFAULT_FOLDER
 
 
 class Name(StrEnum):
@@ -76,14 +75,15 @@ def study(
     from xmarl_bench.files import locked, remove_leftovers
     from xmarl_bench.request import Sampling
     from xmarl_bench.scoring import Failed, score_requests
-    from xmarl_bench.store import Store
     from xmarl_bench.study.figures import check_matplotlib
     from xmarl_bench.study.output import write_study
     from xmarl_bench.study.plan import QUICK, STUDIES, plan, select_study_explainers
     from xmarl_bench.study.results import StudyData
     from xmarl_bench.study.samples import Samples
+    from xmarl_bench.sweep.store import Store
+    from xmarl_bench.workers import Workers
 
-    workers = workers_of(jobs, backend, address)
+    workers = Workers(jobs, backend, address)
     chosen = STUDIES[name.value]
     folder = out or Path("study") / (f"{name.value}-quick" if quick else name.value)
     if figures:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from xmarl_bench import source_code as module
-from xmarl_bench.content_key import COMPUTED_BY
-from xmarl_bench.source_code import source_sha256
+from xmarl_bench.sweep import source_code as module
+from xmarl_bench.sweep.content_key import COMPUTED_BY
+from xmarl_bench.sweep.source_code import source_sha256
 
 FILES = {
     "__init__.py": "",

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import locked, remove_leftovers, write_atomically
-from xmarl_bench.store import Store
+from xmarl_bench.sweep.store import Store
 
 KEY = "ab" + "0" * 62
 

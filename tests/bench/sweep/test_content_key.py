@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import MakeBundle
-from xmarl_bench import content_key as module
-from xmarl_bench.content_key import code_sha256
 from xmarl_bench.policy import load_policy
 from xmarl_bench.registry import FoundExplainer, find_explainer
 from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.work import Plan
+from xmarl_bench.sweep import content_key as module
+from xmarl_bench.sweep.content_key import code_sha256
+from xmarl_bench.sweep.work import Plan
 
 SAMPLING = Sampling(episodes=12, timesteps=2, max_cycles=5)
 

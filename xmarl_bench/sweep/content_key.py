@@ -1,8 +1,8 @@
 """What a result depends on, as one hash: the name that it has in a store.
 
 Policies count by architecture and weights, explainers by what they declare and by their code, the harness by
-the code that a worker runs (`xmarl_bench.source_code`) and the packages that compute. So nothing is computed
-again that would be the same, and nothing is kept that would not.
+the code that a worker runs (see `source_code`) and the packages that compute. So nothing is computed again
+that would be the same, and nothing is kept that would not.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from xmarl_bench.policy import PolicyCard
 from xmarl_bench.protocol import DEFINITIONS, PROTOCOL
 from xmarl_bench.provenance import package_version
 from xmarl_bench.registry import FoundExplainer
-from xmarl_bench.source_code import source_sha256
+from xmarl_bench.sweep.source_code import source_sha256
 
 COMPUTED_BY = ("xmarl_bench.measure", "xmarl_bench.behaviour", "xmarl_bench.rollout", "xmarl_bench.fitting")
 PACKAGES = ("numpy", "pymunk", "torch", "torch-geometric")

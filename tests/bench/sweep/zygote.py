@@ -1,6 +1,6 @@
 """Runs command lines of xmarl-bench in forks of one process that has imported everything: 0.1 s each, not 5.
 
-    python -m tests.bench.zygote
+    python -m tests.bench.sweep.zygote
 
 reads a JSON object a line, {"arguments": [...], "kill_after": seconds or null, "victim": "main" or "worker"},
 and writes {"code": exit code, "seconds": ..., "killed": bool} for each.

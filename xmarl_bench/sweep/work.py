@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from xmarl_bench.behaviour import BLOCK as BEHAVIOUR_BLOCK
-from xmarl_bench.content_key import content_key, explainer_key, policy_key
 from xmarl_bench.entry import SCHEMA_VERSION
 from xmarl_bench.policy import Policy
 from xmarl_bench.request import Cell, Request
+from xmarl_bench.sweep.content_key import content_key, explainer_key, policy_key
 
 BLOCK = 10  # episodes: what a run that is killed has to do again, per worker
 Kind = Literal["episodes", "shared", "explained", "behaviour"]
@@ -47,9 +47,9 @@ class Block:
     seeds: tuple[int, ...]  # of the environment
 
     def key(self) -> list[str | int | list[int] | None]:
-        world = self.world
-        where = [world.policy_key, world.cell.task, world.cell.n_agents]
-        return [*where, world.seed, world.max_cycles, self.first, list(self.seeds)]
+        world, seeds = self.world, list(self.seeds)
+        where = world.policy_key, world.cell.task, world.cell.n_agents
+        return [*where, world.seed, world.max_cycles, self.first, seeds]
 
 
 @dataclass(frozen=True)

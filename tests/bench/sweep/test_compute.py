@@ -12,7 +12,6 @@ from torch import Tensor
 
 from tests.bench.plugins import BAD
 from tests.conftest import MakeBundle
-from xmarl_bench import sweep as module
 from xmarl_bench.entry import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
@@ -21,10 +20,11 @@ from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.registry import FoundExplainer, as_found, find_explainer
 from xmarl_bench.request import Cell, Request, Sampling
 from xmarl_bench.rollout import Rollout
-from xmarl_bench.run_record import run_records
 from xmarl_bench.scoring import Failed, score_requests
-from xmarl_bench.store import Store
-from xmarl_bench.sweep import Handed, run
+from xmarl_bench.sweep import compute as module
+from xmarl_bench.sweep.compute import Handed, run
+from xmarl_bench.sweep.run_record import run_records
+from xmarl_bench.sweep.store import Store
 
 SAMPLING = Sampling(episodes=12, timesteps=2, max_cycles=5)
 

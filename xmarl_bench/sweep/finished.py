@@ -17,8 +17,8 @@ from xmarl_bench.behaviour import Played
 from xmarl_bench.errors import InputError
 from xmarl_bench.measure import Explained, Shared
 from xmarl_bench.rollout import Episode
-from xmarl_bench.store import Store
-from xmarl_bench.work import Piece
+from xmarl_bench.sweep.store import Store
+from xmarl_bench.sweep.work import Piece
 
 Kind = TypeVar("Kind")
 Result = list[Episode] | list[Shared] | list[Explained] | Played

@@ -13,12 +13,12 @@ from xmarl_bench.behaviour import BehaviourBlock, Played
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.fan_out import Failure, fan_out
-from xmarl_bench.finished import Finished, Result, encode
 from xmarl_bench.fitting import fitted
 from xmarl_bench.measure import Explained, Measured, Unit
 from xmarl_bench.protocol import SANITY_EPISODES
 from xmarl_bench.rollout import Rollout
-from xmarl_bench.work import Piece, World
+from xmarl_bench.sweep.finished import Finished, Result, encode
+from xmarl_bench.sweep.work import Piece, World
 from xmarl_bench.workers import Workers
 
 Group = tuple[Piece, ...]  # of the same states, which one worker prepares once; or one block to act out

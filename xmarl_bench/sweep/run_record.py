@@ -15,8 +15,8 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from xmarl_bench.files import is_running, pretty_json, write_atomically
-from xmarl_bench.store import Store
-from xmarl_bench.work import Plan
+from xmarl_bench.sweep.store import Store
+from xmarl_bench.sweep.work import Plan
 
 FOLDER = "runs"
 

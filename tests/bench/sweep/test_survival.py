@@ -1,6 +1,6 @@
 """A sweep that is killed at any moment and run again writes what an undisturbed one writes, byte for byte.
 
-XMARL_BENCH_KILLS=50 python -m pytest tests/bench/test_survival.py kills at so many moments, not at a few.
+XMARL_BENCH_KILLS=50 python -m pytest tests/bench/sweep/test_survival.py kills it at so many moments.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 def run() -> Iterator[Run]:
     """run(arguments, kill_after, victim) -> exit code, seconds, whether it was killed."""
     zygote = subprocess.Popen(
-        [sys.executable, "-m", "tests.bench.zygote"],
+        [sys.executable, "-m", "tests.bench.sweep.zygote"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -7,7 +7,7 @@ up here.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,6 +42,15 @@ class Checked:
     @property
     def is_bundle(self) -> bool:
         return self.path.suffix == ".zip" or (self.path / MANIFEST).is_file()
+
+    def part(self, file: str) -> Checked:
+        """What one of the entries needs to be verified, and nothing else: a worker is handed this."""
+        entry = self.entries[file]
+        name = entry.policy.name
+        policies = {name: self.policies[name]} if name in self.policies else {}
+        return replace(
+            self, entries={file: entry}, policies=policies, recomputed={file: self.recomputed[file]}
+        )
 
     def read_policy(self, name: str) -> tuple[PolicyCard, Weights]:
         """A policy of the bundle, as data. Raises InputError where one could not be built of it."""

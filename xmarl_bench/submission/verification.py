@@ -136,6 +136,11 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
     return Verdict(entry, options.tier, bitwise, len(again.episodes), _largest(again.differences), said)
 
 
+def verify_one(unit: tuple[Checked, str], options: Options) -> Verdict:
+    """As `verify`, of a pair as workers are handed it."""
+    return verify(*unit, options)
+
+
 def _said(apart: list[Difference], source: str) -> tuple[str, ...]:
     said = [f"{each.where} is {each.entry}, the {source} {each.found}." for each in apart[:MAX_FINDINGS]]
     if len(apart) > MAX_FINDINGS:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from xmarl_bench.board import build_board
     from xmarl_bench.doors import as_explainer
-    from xmarl_bench.entry import Entry, read_entry, write_entry
+    from xmarl_bench.entry import Entry
+    from xmarl_bench.entry_file import read_entry, write_entry
     from xmarl_bench.errors import InputError
     from xmarl_bench.evaluation import Performance, evaluate
     from xmarl_bench.explainer import Explainer

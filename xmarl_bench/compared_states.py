@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from xmarl_bench.entry import CellResult, Entry, read_entries, read_entry
+from xmarl_bench.entry import CellResult, Entry
+from xmarl_bench.entry_file import read_entries, read_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import canonical_json
 

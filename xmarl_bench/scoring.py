@@ -15,7 +15,8 @@ from pathlib import Path
 from xmarl_bench.cell_result import Controls, cell_result, total_cost
 from xmarl_bench.code_origin import origin_of
 from xmarl_bench.effect import NORMALISER
-from xmarl_bench.entry import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry, parse_entry
+from xmarl_bench.entry import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry
+from xmarl_bench.entry_file import parse_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explainer import Explainer
 from xmarl_bench.files import canonical_json

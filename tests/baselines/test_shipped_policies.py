@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from xmarl_envs import TASKS
 
-from xmarl_bench.entry import read_entry, write_entry
+from xmarl_bench.entry_file import read_entry, write_entry
 from xmarl_bench.evaluation import Performance, evaluate
 from xmarl_bench.policy import load_policy
 from xmarl_bench.registry import find_policies

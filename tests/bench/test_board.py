@@ -11,7 +11,8 @@ import pytest
 from tests.policies import small_policy
 from xmarl_bench.board import board_of, build_board
 from xmarl_bench.controls import CONTROLS
-from xmarl_bench.entry import Entry, Record, make_entry, write_entry
+from xmarl_bench.entry import Entry, Record, make_entry
+from xmarl_bench.entry_file import write_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import save_policy
 from xmarl_bench.registry import find_explainer

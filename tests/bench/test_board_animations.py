@@ -13,7 +13,7 @@ from tests.conftest import MakeBundle, RunCli
 from xmarl_bench import animation
 from xmarl_bench.board import build_board, check_board
 from xmarl_bench.board.animations import draw_missing
-from xmarl_bench.entry import write_entry
+from xmarl_bench.entry_file import write_entry
 from xmarl_bench.registry import find_explainer
 from xmarl_bench.scoring import score
 

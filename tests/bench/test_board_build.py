@@ -19,7 +19,7 @@ from tests.bench.made_entries import made_board, made_entry
 from tests.conftest import RunCli
 from xmarl_bench.board import build, build_board, check_board
 from xmarl_bench.board.build import derived
-from xmarl_bench.entry import read_entries, write_entry
+from xmarl_bench.entry_file import read_entries, write_entry
 
 OLD = {"a": 0.9, "b": 0.5}
 

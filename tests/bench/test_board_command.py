@@ -10,7 +10,7 @@ import pytest
 from tests.bench.installed import install
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench.board.command import command_of
-from xmarl_bench.entry import read_entries
+from xmarl_bench.entry_file import read_entries
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 
 from tests.conftest import MakeBundle, Ran, RunCli
 from xmarl_bench import registry
-from xmarl_bench.entry import read_entries
+from xmarl_bench.entry_file import read_entries
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 
 QUICK = ("--episodes", 2, "--max-cycles", 6)

@@ -11,7 +11,7 @@ import pytest
 
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench.code_origin import is_reference, load_reference, origin_of
-from xmarl_bench.entry import read_entries
+from xmarl_bench.entry_file import read_entries
 from xmarl_bench.errors import InputError
 from xmarl_bench.registry import find_explainer
 

@@ -14,7 +14,8 @@ from scipy import stats
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench.compare import METRICS, compare
 from xmarl_bench.compared_states import blocks_of, read_named, shared_states
-from xmarl_bench.entry import Entry, make_entry, write_entry
+from xmarl_bench.entry import Entry, make_entry
+from xmarl_bench.entry_file import write_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.scoring import score
 

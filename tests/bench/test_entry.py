@@ -11,16 +11,8 @@ import pytest
 from pydantic import ValidationError
 
 from tests.conftest import MakeBundle
-from xmarl_bench.entry import (
-    Entry,
-    EpisodeRow,
-    Metrics,
-    Summary,
-    Verification,
-    entry_id,
-    read_entry,
-    write_entry,
-)
+from xmarl_bench.entry import Entry, EpisodeRow, Metrics, Summary, Verification, entry_id
+from xmarl_bench.entry_file import read_entry, write_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import canonical_json, write_json
 from xmarl_bench.scoring import score

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.bench.made_entries import made_entry
 from tests.bench.submission.edits import with_id
-from xmarl_bench.entry import entry_text, parse_entry
+from xmarl_bench.entry_file import entry_text, parse_entry
 from xmarl_bench.files import canonical_json, pretty_json
 from xmarl_bench.json_lines import json_lines, members, object_of
 

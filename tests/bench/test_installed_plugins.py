@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.bench.fresh_environment import Environment
-from xmarl_bench.entry import read_entries
+from xmarl_bench.entry_file import read_entries
 from xmarl_bench.new_package import write_package
 
 pytestmark = pytest.mark.slow

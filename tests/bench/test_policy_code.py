@@ -13,7 +13,7 @@ from torch_geometric.nn import TransformerConv
 from tests.bench.test_policy_checks import Pilot
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench import PolicyModule, RadiusGraph, registry, score
-from xmarl_bench.entry import read_entries
+from xmarl_bench.entry_file import read_entries
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import CodeArchitecture
 

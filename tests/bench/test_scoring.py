@@ -12,7 +12,8 @@ from xmarl_envs import TASKS
 from tests.bench.plugins import BAD, slow
 from tests.conftest import MakeBundle
 from xmarl_bench.controls import CONTROLS
-from xmarl_bench.entry import BehaviourMetrics, Entry, write_entry
+from xmarl_bench.entry import BehaviourMetrics, Entry
+from xmarl_bench.entry_file import write_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import canonical_json
 from xmarl_bench.policy import load_policy

@@ -15,7 +15,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.bench.submission.edits import with_manifest
-from xmarl_bench.entry import read_entry
+from xmarl_bench.entry_file import read_entry
 from xmarl_bench.policy.untrusted import WEIGHTS
 from xmarl_bench.registry import find_policy
 from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle

@@ -10,7 +10,7 @@ from PIL import Image
 from tests.bench.made_entries import made_board, made_entry
 from tests.page.browser import browse, chromium
 from xmarl_bench.board import build_board
-from xmarl_bench.entry import write_entry
+from xmarl_bench.entry_file import write_entry
 
 __all__ = ["browse", "chromium"]
 EXPLAINERS = {"good": 0.9, "fair": 0.6, "bad": 0.3}

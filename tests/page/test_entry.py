@@ -9,7 +9,8 @@ from playwright.sync_api import expect
 
 from tests.page.browser import Browse
 from xmarl_bench.board.command import command_of
-from xmarl_bench.entry import Entry, read_entries
+from xmarl_bench.entry import Entry
+from xmarl_bench.entry_file import read_entries
 
 
 def find(board: Path, policy: str, explainer: str = "good") -> Entry:

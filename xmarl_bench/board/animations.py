@@ -11,7 +11,8 @@ from pathlib import Path
 
 from xmarl_bench.animation import write_animation
 from xmarl_bench.board.build import ANIMATIONS, animation_name
-from xmarl_bench.entry import Entry, read_entry
+from xmarl_bench.entry import Entry
+from xmarl_bench.entry_file import read_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import load_policy
 from xmarl_bench.recording import Recording, record

@@ -77,7 +77,7 @@ def score(
 
     from xmarl_bench import report
     from xmarl_bench.board import build_board
-    from xmarl_bench.entry import read_entries, write_entry
+    from xmarl_bench.entry_file import read_entries, write_entry
     from xmarl_bench.files import locked, remove_leftovers
     from xmarl_bench.request import Sampling
     from xmarl_bench.scoring import Failed, score_requests

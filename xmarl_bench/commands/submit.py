@@ -26,7 +26,7 @@ def submit(
     """
     import tempfile
 
-    from xmarl_bench.entry import read_entry
+    from xmarl_bench.entry_file import read_entry
     from xmarl_bench.errors import InputError
     from xmarl_bench.policy.bundle import load_card
     from xmarl_bench.submission.checking import check

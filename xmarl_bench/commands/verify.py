@@ -57,7 +57,7 @@ def verify(
     from functools import partial
 
     from xmarl_bench import report
-    from xmarl_bench.entry import write_entry
+    from xmarl_bench.entry_file import write_entry
     from xmarl_bench.errors import InputError
     from xmarl_bench.fan_out import Failure, fan_out
     from xmarl_bench.submission.checking import check

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from xmarl_bench.entry import Entry, PolicyRecord, Verification, parse_entry
+from xmarl_bench.entry import Entry, PolicyRecord, Verification
+from xmarl_bench.entry_file import parse_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.bundle import PolicyCard, Weights, build, parse_card, parse_weights
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS

@@ -9,7 +9,8 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from xmarl_bench.entry import Entry, Verification, entry_id, entry_text
+from xmarl_bench.entry import Entry, Verification, entry_id
+from xmarl_bench.entry_file import entry_text
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import pretty_json, write_atomically
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS, read_member

@@ -15,7 +15,8 @@ from tests.bench.submission.conftest import LICENCE, Pack
 from tests.bench.submission.edits import Edit, edited, with_entry, with_manifest
 from tests.conftest import RunCli
 from xmarl_bench.controls import CONTROLS, INVERTED
-from xmarl_bench.entry import Entry, Verification, read_entry, write_entry
+from xmarl_bench.entry import Entry, Verification
+from xmarl_bench.entry_file import read_entry, write_entry
 from xmarl_bench.files import pretty_json
 from xmarl_bench.policy.untrusted import WEIGHTS
 from xmarl_bench.submission import consistency

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.bench.submission.edits import with_id, with_manifest
-from xmarl_bench.entry import Entry, entry_text
+from xmarl_bench.entry import Entry
+from xmarl_bench.entry_file import entry_text
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import canonical_json
 from xmarl_bench.submission.archive import MANIFEST

@@ -15,7 +15,8 @@ from tests.bench.submission.conftest import TASK, TEAM, Pack
 from tests.bench.submission.edits import edited, with_entry, with_manifest
 from tests.conftest import RunCli
 from tests.policies import small_policy
-from xmarl_bench.entry import Entry, read_entry
+from xmarl_bench.entry import Entry
+from xmarl_bench.entry_file import read_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.registry import find_explainer

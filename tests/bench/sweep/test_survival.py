@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import MakeBundle
-from xmarl_bench.entry import read_entries
+from xmarl_bench.entry_file import read_entries
 
 KILLS = int(os.environ.get("XMARL_BENCH_KILLS", "5"))
 Run = Callable[..., dict[str, Any]]

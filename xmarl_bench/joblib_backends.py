@@ -14,6 +14,7 @@ import os
 import socket
 import threading
 import time
+import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
@@ -202,7 +203,10 @@ class DaskBackend(Backend):
 def connected(workers: Workers) -> Iterator[Backend]:
     """The workers, until the end of the block. Raises InputError where they cannot be had."""
     if workers.backend == "loky":
-        yield LokyBackend(workers.jobs or os.cpu_count() or 1)
+        with warnings.catch_warnings():
+            # Loky replaces a worker whose memory has grown by 300 MB, between two units: that loses nothing.
+            warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
+            yield LokyBackend(workers.jobs or os.cpu_count() or 1)
         return
     needed = {"ray": "ray", "dask": "distributed"}[workers.backend]
     if find_spec(needed) is None:

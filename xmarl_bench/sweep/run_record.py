@@ -27,7 +27,12 @@ class Asked:
 
     policy: str
     explainer: str
-    pieces: list[str]  # keys
+    own: list[str]  # keys of the pieces that are this explainer's alone
+    shared: list[str]
+
+    @property
+    def pieces(self) -> list[str]:
+        return self.own + self.shared
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,15 @@ class RunRecord:
             started,
             socket.gethostname(),
             os.getpid(),
-            [Asked(plan.request.card.name, plan.explainer, plan.piece_keys) for plan in plans],
+            [
+                Asked(
+                    plan.request.card.name,
+                    plan.explainer,
+                    [piece.key for piece in plan if piece.explainer is not None],
+                    [piece.key for piece in plan if piece.explainer is None],
+                )
+                for plan in plans
+            ],
         )
 
     def write(self, store: Store) -> None:
@@ -63,8 +76,8 @@ class RunRecord:
         by_explainer = Counter[str]()
         of_explainer = Counter[str]()
         for each in self.asked:
-            of_explainer[each.explainer] += len(each.pieces)
-            by_explainer[each.explainer] += sum(key in done for key in each.pieces)
+            of_explainer[each.explainer] += len(each.own)
+            by_explainer[each.explainer] += sum(key in done for key in each.own)
         here = self.host == socket.gethostname()
         return Progress(
             running=is_running(self.pid) if here and len(done) < len(keys) else None if not here else False,
@@ -92,9 +105,11 @@ ADAPTER = TypeAdapter(RunRecord)
 
 
 def run_records(store: Store) -> Iterator[RunRecord]:
-    """Of all runs that a store knows, by folder; what is no record (any more) is left out."""
+    """Of all runs that a store knows and whose folder is still there; what is no record is left out."""
     for path in sorted((store.folder / FOLDER).glob("*.json")):
         try:
-            yield ADAPTER.validate_json(path.read_bytes())
+            record = ADAPTER.validate_json(path.read_bytes())
         except (OSError, ValidationError):
             continue
+        if Path(record.out).is_dir():
+            yield record

@@ -94,5 +94,5 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
         result.unlink()
     (row,) = json.loads(run_cli("status", "--json").out)
     assert row["cells"] == [0, 5]
-    assert row["explainers"] == {"attention": [0, 5]}
+    assert row["explainers"] == {"attention": [0, 2]}  # explained, and acted on
     assert_refused(run_cli("status", out / "elsewhere"), "no run is known")

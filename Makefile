@@ -7,14 +7,15 @@ BENCH_STAMP := .venv/.bench-installed
 export OMP_NUM_THREADS ?= 1
 
 # What is compared by default: every timestep of the 50 episodes. `make score ALL=1` takes every explainer on every
-# policy but checkpoints along training. The team does not play on the masks of explainers that optimise: to act on an
-# explanation asks for one at every step.
-OPTIMISING := gnn_explainer gnn_explainer-tuned graphmask graphmask-pyg integrated_gradients
+# policy but checkpoints along training. The team plays on the masks of attention alone, for to act on an explanation
+# asks for one at every step.
 ifdef ALL
-SCORE_OPTIONS ?= --policy finished --explainer all $(OPTIMISING:%=--no-behaviour %)
+OTHERS := attention-rowmax gnn_explainer gnn_explainer-tuned gradient graphmask graphmask-pyg integrated_gradients \
+	occlusion shapley
+SCORE_OPTIONS ?= --policy finished --explainer all $(OTHERS:%=--no-behaviour %)
 else
-SCORE_OPTIONS ?= --policy default --explainer attention --explainer gnn_explainer --explainer graphmask \
-	--no-behaviour gnn_explainer --no-behaviour graphmask
+OTHERS := gnn_explainer graphmask
+SCORE_OPTIONS ?= --policy default --explainer attention $(OTHERS:%=--explainer %) $(OTHERS:%=--no-behaviour %)
 endif
 
 .DEFAULT_GOAL := help

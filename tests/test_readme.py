@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,12 @@ def test_the_example_scores(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("block", BLOCKS[1:])
 def test_the_other_examples_run(block: str) -> None:
     exec(compile(block, "README.md", "exec"), {"__name__": "readme"})
+
+
+def test_the_ranking_is_that_of_the_board() -> None:
+    """Otherwise run docs/make_ranking.py."""
+    made = runpy.run_path(str(ROOT / "docs" / "make_ranking.py"))
+    assert made["page"](README, made["built"]()) == README
 
 
 @pytest.mark.parametrize("document", ["README.md", "CONTRIBUTING.md"])

@@ -1,0 +1,50 @@
+"""Writes the ranking that README.md shows, from leaderboard/leaderboard.json.
+
+    .venv/bin/python docs/make_ranking.py
+
+Run it when the board was built anew; tests/test_readme.py fails until then.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parent.parent
+BEGIN, END = "<!-- ranking:begin -->\n", "<!-- ranking:end -->"
+
+
+def section(ranking: dict[str, Any]) -> str:
+    """The explainers in order, and between them the control that FidDelta cannot tell from the best one."""
+    lines = [
+        f"Over the {len(ranking['policies'])} policies scored with them (`make score ALL=1`), 0 is a random "
+        "ranking of the messages and 1 the best one:",
+        "",
+        "| explainer | comm. budgeted fidelity | FidDelta |",
+        "|---|---|---|",
+    ]
+    for row in ranking["rows"]:
+        if row["control"] and row["explainer"] != "all-ones":
+            continue
+        name = "the mask of ones, a control" if row["control"] else row["explainer"]
+        interval = "" if row["interval"] is None else " [{:.2f}, {:.2f}]".format(*row["interval"])
+        lines.append(f"| {name} | {row['value']:.2f}{interval} | {row['means']['fid_delta']:.2f} |")
+    return "\n".join(lines) + "\n"
+
+
+def page(text: str, leaderboard: dict[str, Any]) -> str:
+    """The README with this part made anew, of the ranking over all tasks and team sizes."""
+    (ranking,) = (each for each in leaderboard["rankings"] if each["task"] is None)
+    before, after = text.split(BEGIN)[0], text.split(END)[1]
+    return before + BEGIN + section(ranking) + END + after
+
+
+def built() -> dict[str, Any]:
+    leaderboard: dict[str, Any] = json.loads((ROOT / "leaderboard" / "leaderboard.json").read_bytes())
+    return leaderboard
+
+
+if __name__ == "__main__":
+    readme = ROOT / "README.md"
+    readme.write_text(page(readme.read_text(encoding="utf-8"), built()), encoding="utf-8")

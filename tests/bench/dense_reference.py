@@ -6,6 +6,7 @@ h_i = sum_j m_ij alpha_ij W_l x_j + b.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -45,7 +46,7 @@ def reference_distribution(policy: GraphPolicy, observation: Floats, mask: Float
         hidden = ACTIVATION[architecture.decoder_activation](hidden)
     out = _linear(weights, f"decoder.{2 * len(architecture.decoder)}", hidden)
     loc, raw_scale = out[:, : architecture.action_dim], out[:, architecture.action_dim :]
-    return loc, np.maximum(np.log1p(np.exp(raw_scale + np.log(np.e - 1.0))), 1e-4)
+    return loc, np.maximum(np.log1p(np.exp(raw_scale + np.log(math.e - 1.0))), 1e-4)
 
 
 def _linear(weights: dict[str, Floats], name: str, x: Floats) -> Floats:

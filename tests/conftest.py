@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import secrets
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +15,10 @@ from xmarl_envs import TASKS
 from tests.policies import small_policy
 from xmarl_bench import cli
 from xmarl_bench.policy import save_policy
+
+# Ray reads these once a process, whoever is first to touch it there. A head takes work only from those who
+# have its token; workers are nice by default, and would get nothing for minutes where the machine is busy.
+os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_worker_niceness": "0"}
 
 MakeBundle = Callable[..., Path]
 

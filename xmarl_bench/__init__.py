@@ -55,11 +55,11 @@ _HOME = {
     "build_policy": "policy",
     "evaluate": "evaluation",
     "load_policy": "policy",
-    "read_entry": "entry",
+    "read_entry": "entry_file",
     "roll_out": "rollout",
     "save_policy": "policy",
     "score": "scoring",
-    "write_entry": "entry",
+    "write_entry": "entry_file",
 }
 
 __all__ = [

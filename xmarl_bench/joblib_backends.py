@@ -21,7 +21,8 @@ from importlib.util import find_spec
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from joblib.externals.loky import BrokenProcessPool, get_reusable_executor
+from joblib.executor import get_memmapping_executor
+from joblib.externals.loky import BrokenProcessPool
 from joblib.externals.loky.process_executor import ShutdownExecutorError
 from joblib.parallel import BatchedCalls, ParallelBackendBase
 
@@ -106,7 +107,8 @@ class LokyBackend(Backend):
         self._executor = self._start()
 
     def _start(self) -> Any:
-        return get_reusable_executor(
+        # Joblib's own, and not loky's: a process has but one, and joblib fails on another that it finds.
+        return get_memmapping_executor(
             self.n_workers,
             timeout=300,
             env=dict.fromkeys(self.MAX_NUM_THREADS_VARS, "1"),  # workers do not fight for cores

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 import socket
 import subprocess
 import sys
@@ -18,16 +17,13 @@ from distributed import Client
 
 ROOT = Path(__file__).parents[2]
 SECONDS = 60.0  # for a cluster to be up, on a busy machine
-RAY_TOKEN = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}  # Ray reads it once a process
-RAY_NICENESS = {"RAY_worker_niceness": "0"}  # 15 by default: for minutes nothing, where the machine is busy
 
 
 @contextmanager
 def ray_cluster() -> Iterator[str]:
     """Yields the address of a head with two cores, on which Ray starts two workers. It takes work only from
-    those who have a token of this process: it listens on every network of the machine."""
+    those who have a token of this process (see conftest.py): it listens on every network of the machine."""
     port = free_port()
-    os.environ.update(RAY_TOKEN | RAY_NICENESS)
     # Not pytest's folder: the paths of Ray's sockets may have 107 characters.
     with tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True) as folder:
         head = start(
@@ -40,8 +36,6 @@ def ray_cluster() -> Iterator[str]:
             yield f"127.0.0.1:{port}"
         finally:
             end(head)
-            for name in RAY_TOKEN | RAY_NICENESS:
-                del os.environ[name]
 
 
 @contextmanager

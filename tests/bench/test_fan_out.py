@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from joblib import Parallel, delayed
 
 from tests.bench import units_of_work
 from tests.conftest import MakeBundle
@@ -43,6 +44,13 @@ def test_a_worker_computes_with_one_thread(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     for _, seen in fan_out(units_of_work.threads, range(4), workers=TWO):
         assert seen == {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+def test_others_may_use_joblib_before_and_after() -> None:
+    """A process has one pool of loky's processes, which joblib takes for its own."""
+    for k in (3, 4):
+        assert Parallel(n_jobs=2)([delayed(units_of_work.square)(k)]) == [k * k]
+        assert dict(fan_out(units_of_work.square, [k, k], workers=TWO)) == {0: k * k, 1: k * k}
 
 
 @BOTH

@@ -20,7 +20,7 @@ import pytest
 from tests.conftest import MakeBundle
 from xmarl_bench.entry_file import read_entries
 
-KILLS = int(os.environ.get("XMARL_BENCH_KILLS", "5"))
+KILLS = int(os.environ.get("XMARL_BENCH_KILLS", "4"))
 Run = Callable[..., dict[str, Any]]
 Inodes = Mapping[Path, int]
 
@@ -64,11 +64,14 @@ def hidden(folder: Path) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("victim", "jobs", "kills"), [("main", 1, KILLS), ("main", 2, KILLS // 5), ("worker", 2, KILLS // 5)]
+    ("victim", "jobs", "kills"),
+    [("main", 1, KILLS - KILLS // 5), ("main", 2, KILLS // 5), ("worker", 2, 1 + KILLS // 5)],
 )
 def test_killed_at_any_moment(
     victim: str, jobs: int, kills: int, run: Run, make_bundle: MakeBundle, tmp_path: Path
 ) -> None:
+    if not kills:
+        pytest.skip("asked for so few kills that this has none")
     policies = [make_bundle("blind_discovery_v0", name=name, seed=k) for k, name in enumerate(("one", "two"))]
     chosen = [argument for folder in policies for argument in ("--policy", str(folder))]
     chosen += ["--explainer", "attention", "--explainer", "random"]

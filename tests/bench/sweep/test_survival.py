@@ -65,7 +65,7 @@ def hidden(folder: Path) -> set[str]:
 
 @pytest.mark.parametrize(
     ("victim", "jobs", "kills"),
-    [("main", 1, KILLS - KILLS // 5), ("main", 2, KILLS // 5), ("worker", 2, 1 + KILLS // 5)],
+    [("main", 1, KILLS - KILLS // 5), ("main", 2, KILLS // 5), ("worker", 2, max(1, KILLS // 5))],
 )
 def test_killed_at_any_moment(
     victim: str, jobs: int, kills: int, run: Run, make_bundle: MakeBundle, tmp_path: Path

@@ -20,9 +20,8 @@ from xmarl_bench.summary import BEHAVIOUR, SANITY, cell_metrics, control_metrics
 from xmarl_bench.sweep.finished import Finished
 from xmarl_bench.sweep.work import Needs
 
-KEPT = (
-    4  # controls of cells that are kept for the next entry: explainers of a policy come one after the other
-)
+# Cells whose controls are kept for the next entry: explainers of a policy come one after the other.
+KEPT = 4
 
 
 @dataclass

@@ -33,9 +33,8 @@ from xmarl_bench.workers import Workers
 
 TITLE = "fan-out"
 CELLS, OVERHEAD = 5000, 0.020  # seconds per cell
-GROWTH = (
-    30 * 2**20
-)  # bytes of this process from the 1000th cell to the last: results are 20 kB, 80 MB of them
+# Bytes of this process from the 1000th cell to the last: results are 20 kB, 80 MB of them.
+GROWTH = 30 * 2**20
 GAIN = 1.7
 POLICY = "passage-n5-lambda0-seed0"
 POLICIES = (

@@ -78,9 +78,11 @@ class RunRecord:
         for each in self.asked:
             of_explainer[each.explainer] += len(each.own)
             by_explainer[each.explainer] += sum(key in done for key in each.own)
-        here = self.host == socket.gethostname()
+        running = None
+        if self.host == socket.gethostname():
+            running = done != keys and is_running(self.pid)
         return Progress(
-            running=is_running(self.pid) if here and len(done) < len(keys) else None if not here else False,
+            running=running,
             done=len(done),
             pieces=len(keys),
             entries=sum(all(key in done for key in each.pieces) for each in self.asked),

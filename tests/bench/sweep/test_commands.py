@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import json
-import resource
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from tests.bench.sweep.full_disk import files_of_at_most
 from tests.conftest import MakeBundle, Ran, RunCli
 from xmarl_bench.files import locked
 
@@ -37,19 +34,6 @@ def test_two_sweeps_into_one_folder(run_cli: RunCli, make_bundle: MakeBundle, ou
         assert_refused(score(run_cli, make_bundle(), out), f"another run is writing to {out}")
     assert score(run_cli, make_bundle(), out).code == 0
     assert not list(out.glob(".*"))
-
-
-@contextmanager
-def files_of_at_most(size: int) -> Iterator[None]:
-    """As on a disk with that much left, for every single file."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, before)
 
 
 @pytest.mark.parametrize("size", [100, 6_000])  # not even a result, and not an entry

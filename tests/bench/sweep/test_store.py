@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import socket
 import subprocess
@@ -14,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.bench.sweep.full_disk import files_of_at_most
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import locked, remove_leftovers, write_atomically
 from xmarl_bench.sweep.store import Store
@@ -135,15 +135,11 @@ def test_a_lock_ends_with_the_process_that_held_it(tmp_path: Path) -> None:
 def test_a_file_larger_than_the_disk_gives_is_one_sentence_and_nothing_is_lost(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     write_atomically(path, b"old")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    try:
-        with pytest.raises(InputError, match=r"a\.json cannot be written .*free the disk"):
-            write_atomically(path, b"x" * 2000)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, before)
+    with (
+        files_of_at_most(1000),
+        pytest.raises(InputError, match=r"a\.json cannot be written .*free the disk"),
+    ):
+        write_atomically(path, b"x" * 2000)
     assert path.read_bytes() == b"old"
     assert [each.name for each in tmp_path.iterdir()] == ["a.json"]
 

@@ -48,9 +48,7 @@ class Stack:
 
     def __init__(self, layers: Sequence[Layer]) -> None:
         self._forward = [(_ordered(layer.weight), layer.bias, layer.activation) for layer in layers]
-        self._backward = [
-            (_ordered(layer.weight.t().contiguous()), layer.activation) for layer in reversed(layers)
-        ]
+        self._backward = [(_ordered_back(layer.weight), layer.activation) for layer in reversed(layers)]
 
     def __deepcopy__(self, memo: dict[int, object]) -> Stack:
         return self
@@ -70,11 +68,20 @@ class Stack:
                 torch.ops.aten.tanh_backward.grad_input(gradient, out, grad_input=gradient)
             elif activation == "relu":
                 torch.ops.aten.threshold_backward.grad_input(gradient, out, 0, grad_input=gradient)
-            gradient = torch.ops.mkldnn._linear_pointwise(gradient, transposed, None, "none", [], "")
+            if transposed is not None:
+                gradient = torch.ops.mkldnn._linear_pointwise(gradient, transposed, None, "none", [], "")
         return gradient
+
 
 
 def _ordered(weight: Tensor) -> Tensor:
     """The weight as oneDNN likes to read it."""
     ordered: Tensor = torch.ops.mkldnn._reorder_linear_weight(weight, ROWS)
     return ordered
+
+
+def _ordered_back(weight: Tensor) -> Tensor | None:
+    """What a gradient is multiplied with; None for the identity, which changes nothing."""
+    if torch.equal(weight, torch.eye(len(weight))):
+        return None
+    return _ordered(weight.t().contiguous())

@@ -203,7 +203,7 @@ from importlib.metadata import entry_points
 from tests.policies import random_observations, small_policy
 from xmarl_bench.explainer import run_explainer
 (plugin,) = [p for p in entry_points(group="xmarl_bench.explainers") if p.name == sys.argv[1]]
-for n_steps in (1024, 8192):  # chunks are of 512 timesteps at N = 8
+for n_steps in (1024, 8192):  # chunks are of 1024 timesteps at N = 8
     run_explainer(plugin.load(), small_policy(6), random_observations(n_steps, 8, 6), 0)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """

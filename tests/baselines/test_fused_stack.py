@@ -52,6 +52,14 @@ def test_by_hand() -> None:
     assert gradient.tolist() == [[8.0, 2.0]]  # 4 * [2, 0.5]
 
 
+@pytest.mark.parametrize("n_out", [2, 3, 4])
+def test_of_identities_only_square_ones_change_nothing(n_out: int) -> None:
+    stack, x = Stack([Layer(torch.eye(n_out, 3), None, "none")]), torch.tensor([[1.0, 2.0, 3.0]])
+    value, gradient = there_and_back(stack, x)
+    assert value.tolist() == [[1.0, 2.0, 3.0, 0.0][:n_out]]
+    assert gradient.tolist() == [[1.0, 2.0, 3.0 if n_out > 2 else 0.0]]
+
+
 @pytest.mark.parametrize(
     "modules",
     [

@@ -147,7 +147,7 @@ def test_a_worker_killed_from_outside_costs_nothing() -> None:
     for k, each in enumerate(fan_out(units_of_work.square, range(200), workers=TWO)):
         returned.append(each)
         if k in (20, 90):
-            os.kill(_workers_of(os.getpid())[0].pid, signal.SIGKILL)
+            _wait_for_workers(os.getpid(), 1)[0].kill()
     assert sorted(returned) == expected
 
 
@@ -165,6 +165,7 @@ def test_workers_end_with_the_main_process(kill: signal.Signals) -> None:
     script = SCRIPT.format(function="sleep_long", units=8)
     main = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True)
     workers = _wait_for_workers(main.pid, 2)
+    time.sleep(0.5)  # until they compute
     main.send_signal(kill)
     _, said = main.communicate(timeout=20)
     gone, alive = psutil.wait_procs(workers, timeout=10)
@@ -217,16 +218,21 @@ def test_no_unit_starts_no_worker(tmp_path: Path) -> None:
 
 
 def _workers_of(main: int) -> list[psutil.Process]:
-    """loky's workers, not its resource tracker."""
-    children = psutil.Process(main).children()
-    return [each for each in children if any("popen_loky" in word for word in each.cmdline())]
+    """loky's workers that live, not its resource tracker."""
+    return [each for each in psutil.Process(main).children() if "popen_loky" in _command(each)]
 
 
-def _wait_for_workers(main: int, n_workers: int) -> list[psutil.Process]:
+def _command(process: psutil.Process) -> str:
+    try:
+        return " ".join(process.cmdline())
+    except psutil.NoSuchProcess:  # a zombie, too: it was killed and not waited for yet
+        return ""
+
+
+def _wait_for_workers(main: int, at_least: int) -> list[psutil.Process]:
     for _ in range(300):
         workers = _workers_of(main)
-        if len(workers) == n_workers:
-            time.sleep(0.5)  # until they compute
+        if len(workers) >= at_least:
             return workers
         time.sleep(0.1)
-    raise AssertionError(f"process {main} has not started {n_workers} workers")
+    raise AssertionError(f"process {main} has not started {at_least} workers")

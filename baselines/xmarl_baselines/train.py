@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from xmarl_baselines.own_process import train_in_own_process
 from xmarl_baselines.recipes import recipe_for
 from xmarl_baselines.reference import EPISODES, reference_runs, run_named, schedule_runs
 from xmarl_baselines.trainer import Report, Run, train
@@ -111,30 +111,13 @@ def train_missing(out: Path, workers: Workers) -> int:
     console = Console(stderr=True)
     failed = 0
     units = [(name, out.resolve()) for name in missing]
-    for done, (k, code) in enumerate(fan_out(_reproduce, units, workers=workers), start=1):
+    for done, (k, code) in enumerate(fan_out(train_in_own_process, units, workers=workers), start=1):
         outcome = "trained"
         if code != 0:
             failed += 1
             outcome = f"FAILED, {code.error}" if isinstance(code, Failure) else "FAILED, see its log"
         console.print(f"{done} of {len(missing)}: {missing[k]} {outcome}", highlight=False)
     return 1 if failed else 0
-
-
-def _reproduce(unit: tuple[str, Path]) -> int:
-    """In a process of its own, which a checkpoint outlives; returns its exit code."""
-    name, out = unit
-    command = [
-        sys.executable,
-        "-m",
-        "xmarl_baselines.train",
-        "--reproduce",
-        name,
-        "--out",
-        str(out),
-        "--resume",
-    ]
-    with (out / f"{name}.log").open("a") as log:
-        return subprocess.run(command, stdout=log, stderr=subprocess.STDOUT).returncode
 
 
 def _check_start(folder: Path, task: str, agents: int) -> None:

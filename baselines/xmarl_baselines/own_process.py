@@ -1,0 +1,19 @@
+"""A training in a process of its own. A worker only waits for it: nothing here makes it import torch."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+
+def train_in_own_process(unit: tuple[str, Path]) -> int:
+    """`xmarl-train --reproduce NAME --out OUT --resume`, which a checkpoint outlives; its exit code."""
+    name, out = unit
+    program = [sys.executable, "-m", "xmarl_baselines.train"]
+    with (out / f"{name}.log").open("a") as log:
+        return subprocess.run(
+            [*program, "--reproduce", name, "--out", str(out), "--resume"],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        ).returncode

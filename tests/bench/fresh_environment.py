@@ -28,21 +28,11 @@ class Environment:
     def python(self) -> Path:
         return self.folder / "bin" / "python"
 
-    def install(self, *packages: Path) -> None:
-        """Build and install, out of the network."""
+    def install(self, *packages: Path, target: Path | None = None) -> None:
+        """Build and install, out of the network; into a folder beside the environment, where one is given."""
         pip = (sys.executable, "-m", "pip", "--python", str(self.python), "install", "--quiet")
         options = ("--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check")
-        done = self._run([*pip, *options, *map(str, packages)])
+        where = () if target is None else ("--target", str(target))
+        command = [*pip, *options, *where, *map(str, packages)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=900)
         assert done.returncode == 0, done.stderr
-
-    def bench(self, *arguments: object) -> subprocess.CompletedProcess[str]:
-        """Run xmarl-bench there, in an empty folder."""
-        return self._run([str(self.python), "-m", "xmarl_bench.cli", *map(str, arguments)])
-
-    def pytest(self, package: Path) -> subprocess.CompletedProcess[str]:
-        return self._run([str(self.python), "-m", "pytest", "-q", "-p", "no:cacheprovider", str(package)])
-
-    def _run(self, command: list[str]) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            command, cwd=self.folder, capture_output=True, text=True, check=False, timeout=900
-        )

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.bench.forks import Ask, forks
 from tests.bench.fresh_environment import Environment
+from tests.bench.zygote import Request
+from tests.conftest import Ran
 from xmarl_bench.entry_file import read_entries
 from xmarl_bench.new_package import write_package
 
@@ -29,54 +33,77 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def environment(tmp_path_factory: pytest.TempPathFactory, packages: Path) -> Environment:
     environment = Environment.make(tmp_path_factory.mktemp("environment") / "venv")
     environment.install(packages / "explainer", packages / "policy")
+    environment.install(packages / "broken", target=environment.folder / "broken")
     return environment
 
 
-def test_both_are_found_scored_and_compared(environment: Environment) -> None:
-    listed = json.loads(environment.bench("list", "explainers", "--json").stdout)
+Run = Callable[..., Ran]
+
+
+@pytest.fixture(scope="module")
+def ask(environment: Environment) -> Iterator[Ask]:
+    with forks(environment.python) as ask:
+        yield ask
+
+
+@pytest.fixture
+def run(ask: Ask, tmp_path: Path) -> Run:
+    """run(program, argument, ..., site=folder) -> what the program did there, in an empty folder."""
+
+    def run(*command: object, site: Path | None = None) -> Ran:
+        request: Request = {"command": [str(word) for word in command], "folder": str(tmp_path)}
+        if site is not None:
+            request["site"] = str(site)
+        done = ask(request)
+        return Ran(done["code"], done["out"], done["err"])
+
+    return run
+
+
+def test_both_are_found_scored_and_compared(run: Run, tmp_path: Path) -> None:
+    listed = json.loads(run("xmarl-bench", "list", "explainers", "--json").out)
     (row,) = (row for row in listed if row["name"] == "stranger-explainer")
     assert (row["distribution"], row["version"]) == ("stranger-explainer", "0.1.0")
-    assert "stranger-policy" in environment.bench("list", "policies").stdout
-    scored = environment.bench(
-        "score", "--policy", "stranger-policy", "--trust-code", "--explainer", "stranger-explainer",
-        "--explainer", "random", *QUICK, "--out", "board",
+    assert "stranger-policy" in run("xmarl-bench", "list", "policies").out
+    scored = run(
+        "xmarl-bench", "score", "--policy", "stranger-policy", "--trust-code",
+        "--explainer", "stranger-explainer", "--explainer", "random", *QUICK, "--out", "board",
     )  # fmt: skip
-    assert scored.returncode == 0, scored.stderr
-    entries = {entry.explainer.name: entry for _, entry in read_entries(environment.folder / "board/entries")}
+    assert scored.code == 0, scored.err
+    entries = {entry.explainer.name: entry for _, entry in read_entries(tmp_path / "board/entries")}
     entry = entries["stranger-explainer"]
     assert (entry.explainer.distribution, entry.explainer.version) == ("stranger-explainer", "0.1.0")
     assert entry.explainer.entry_point == "stranger_explainer:explainer"
     assert entry.explainer.accesses == "black-box"
     assert entry.policy.trusted_code
-    compared = environment.bench(
-        "compare", "stranger-explainer", "random", "--entries", "board/entries", "--json",
+    compared = run(
+        "xmarl-bench", "compare", "stranger-explainer", "random", "--entries", "board/entries", "--json",
         "--metric", "budgeted_fidelity", "--plot", "comparison.svg",
     )  # fmt: skip
-    assert compared.returncode == 0, compared.stderr
-    (comparison,) = json.loads(compared.stdout)
+    assert compared.code == 0, compared.err
+    (comparison,) = json.loads(compared.out)
     assert [each["explainer"] for each in comparison["standings"]] == ["stranger-explainer", "random"]
-    assert (environment.folder / "comparison.svg").read_text().count("<svg") == 1
+    assert (tmp_path / "comparison.svg").read_text().count("<svg") == 1
 
 
 @pytest.mark.parametrize("kind", ["explainer", "policy"])
-def test_they_pass_their_own_tests_at_once(kind: str, environment: Environment, packages: Path) -> None:
-    tested = environment.pytest(packages / kind)
-    assert tested.returncode == 0, tested.stdout
-    assert "2 passed" in tested.stdout
+def test_they_pass_their_own_tests_at_once(kind: str, run: Run, packages: Path) -> None:
+    tested = run("pytest", "-q", "-p", "no:cacheprovider", packages / kind)
+    assert tested.code == 0, tested.out
+    assert "2 passed" in tested.out
 
 
 def test_one_that_does_not_import_stops_the_command_and_hides_no_other(
-    packages: Path, tmp_path: Path
+    environment: Environment, run: Run, tmp_path: Path
 ) -> None:
-    environment = Environment.make(tmp_path / "venv")
-    environment.install(packages / "explainer", packages / "broken")
-    listed = environment.bench("list", "explainers")
-    assert listed.returncode == 2
-    assert len(listed.stderr.splitlines()) == 1
+    broken = environment.folder / "broken"
+    listed = run("xmarl-bench", "list", "explainers", site=broken)
+    assert listed.code == 2
+    assert len(listed.err.splitlines()) == 1
     for word in ("broken-explainer", "ModuleNotFoundError", "no_such_library"):
-        assert word in listed.stderr
-    assert "stranger-explainer" in listed.stdout
-    everything = environment.bench("score", "--explainer", "all", *QUICK, "--out", "board")
-    assert everything.returncode == 2
-    assert "broken-explainer" in everything.stderr
-    assert not (environment.folder / "board").exists()
+        assert word in listed.err
+    assert "stranger-explainer" in listed.out
+    everything = run("xmarl-bench", "score", "--explainer", "all", *QUICK, "--out", "board", site=broken)
+    assert everything.code == 2
+    assert "broken-explainer" in everything.err
+    assert not (tmp_path / "board").exists()

@@ -5,53 +5,27 @@ XMARL_BENCH_KILLS=50 python -m pytest tests/bench/sweep/test_survival.py kills i
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
-import subprocess
-import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from xmarl_envs import TASKS
 
-from tests.conftest import MakeBundle
+from tests.bench.forks import Ask, forks
+from tests.bench.zygote import Request
+from tests.policies import small_policy
 from xmarl_bench.entry_file import read_entries
+from xmarl_bench.policy import save_policy
 
 KILLS = int(os.environ.get("XMARL_BENCH_KILLS", "4"))
-Run = Callable[..., dict[str, Any]]
+TASK = "blind_discovery_v0"
 Inodes = Mapping[Path, int]
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture
-def run() -> Iterator[Run]:
-    """run(arguments, kill_after, victim) -> exit code, seconds, whether it was killed."""
-    zygote = subprocess.Popen(
-        [sys.executable, "-m", "tests.bench.sweep.zygote"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )
-    assert zygote.stdin is not None
-    assert zygote.stdout is not None
-
-    def ask(arguments: list[str], kill_after: float | None = None, victim: str = "main") -> dict[str, Any]:
-        assert zygote.stdin is not None
-        assert zygote.stdout is not None
-        request = {"arguments": arguments, "kill_after": kill_after, "victim": victim}
-        print(json.dumps(request), file=zygote.stdin, flush=True)
-        answer: dict[str, Any] = json.loads(zygote.stdout.readline())
-        return answer
-
-    yield ask
-    zygote.stdin.close()
-    zygote.wait(60)
-    zygote.stdout.close()
 
 
 def results(cells: Path) -> Inodes:
@@ -63,46 +37,83 @@ def hidden(folder: Path) -> set[str]:
     return {path.name for path in folder.rglob(".*")}
 
 
+@dataclass(frozen=True)
+class Sweep:
+    """One command line, and what it writes when nothing disturbs it, in one process."""
+
+    ask: Ask
+    arguments: tuple[str, ...]
+    board: bytes
+    entry_ids: list[str]
+    n_results: int
+    seconds: float
+
+    @staticmethod
+    def request(arguments: tuple[str, ...], out: Path, cells: Path, jobs: int) -> Request:
+        folders = ("--out", str(out), "--cells", str(cells), "--jobs", str(jobs))
+        return {"command": ["xmarl-bench", "score", *arguments, *folders]}
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sweep]:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    arguments = [
+        "--explainer",
+        "attention",
+        "--explainer",
+        "random",
+        "--episodes",
+        "12",
+        "--max-cycles",
+        "12",
+    ]
+    for seed, name in enumerate(("one", "two")):
+        policy = small_policy(len(TASKS[TASK].observation_names), seed)
+        save_policy(folder / name, policy, name=name, task=TASK, n_agents=3, attention_entropy=0.5)
+        arguments += ["--policy", str(folder / name)]
+    out, cells = folder / "out", folder / "cells"
+    with forks() as ask:
+        whole = ask(Sweep.request(tuple(arguments), out, cells, jobs=1))
+        assert whole["code"] == 0, whole["err"]
+        ids = [entry.entry_id for _, entry in read_entries(out / "entries")]
+        assert len(ids) == 4
+        board = (out / "leaderboard.json").read_bytes()
+        yield Sweep(ask, tuple(arguments), board, ids, len(results(cells)), whole["seconds"])
+
+
 @pytest.mark.parametrize(
     ("victim", "jobs", "kills"),
-    [("main", 1, KILLS - KILLS // 5), ("main", 2, KILLS // 5), ("worker", 2, max(1, KILLS // 5))],
-)
-def test_killed_at_any_moment(
-    victim: str, jobs: int, kills: int, run: Run, make_bundle: MakeBundle, tmp_path: Path
-) -> None:
-    if not kills:
-        pytest.skip("asked for so few kills that this has none")
-    policies = [make_bundle("blind_discovery_v0", name=name, seed=k) for k, name in enumerate(("one", "two"))]
-    chosen = [argument for folder in policies for argument in ("--policy", str(folder))]
-    chosen += ["--explainer", "attention", "--explainer", "random"]
-    size = ["--episodes", "12", "--max-cycles", "12", "--jobs", str(jobs)]
-
-    def command(name: str) -> list[str]:
-        folders = ["--out", str(tmp_path / name), "--cells", str(tmp_path / f"{name}-cells")]
-        return ["score", *chosen, *size, *folders]
-
-    whole = run(command("whole"))
-    assert whole["code"] == 0
-    expected = (tmp_path / "whole" / "leaderboard.json").read_bytes()
-    ids = [entry.entry_id for _, entry in read_entries(tmp_path / "whole" / "entries")]
-    assert len(ids) == 4
-
-    out, cells = tmp_path / "out", tmp_path / "out-cells"
+    [
+        (victim, jobs, kills)
+        for victim, jobs, kills in (
+            ("main", 1, KILLS - KILLS // 5), ("main", 2, KILLS // 5), ("worker", 2, max(1, KILLS // 5)),
+        )
+        if kills
+    ],
+)  # fmt: skip
+def test_killed_at_any_moment(victim: str, jobs: int, kills: int, sweep: Sweep, tmp_path: Path) -> None:
+    out, cells = tmp_path / "out", tmp_path / "cells"
     rng, struck, finished = np.random.default_rng(0), 0, 0
     while struck < kills or not finished:
         before = results(cells)
-        moment = float(rng.uniform(0.0, whole["seconds"])) if struck < kills else None
-        done = run(command("out"), moment, victim)
+        request = Sweep.request(sweep.arguments, out, cells, jobs)
+        if struck < kills:
+            request["victim"] = victim
+            if jobs == 1:
+                request["kill_after"] = float(rng.uniform(0.0, sweep.seconds))
+            else:  # nearly all of the time passes before workers have imported what they need
+                request["kill_at"] = str(cells), int(rng.integers(sweep.n_results))
+        done = sweep.ask(request)
         struck += done["killed"]
         after = results(cells)
         assert {path: after.get(path) for path in before} == before  # nothing finished is computed again
         if done["code"] != 0:
-            assert done["killed"]
+            assert done["killed"], done["err"]
             assert victim == "main"  # a run gets over the death of a worker
             continue
         finished += 1
-        assert (out / "leaderboard.json").read_bytes() == expected
-        assert [entry.entry_id for _, entry in read_entries(out / "entries")] == ids
+        assert (out / "leaderboard.json").read_bytes() == sweep.board
+        assert [entry.entry_id for _, entry in read_entries(out / "entries")] == sweep.entry_ids
         assert hidden(out) == set()
         assert hidden(cells) == {".gitignore"}
         shutil.rmtree(out)

@@ -30,9 +30,14 @@ from xmarl_bench.workers import Workers
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
+# Options of a run of one's own, and of many runs: beside what fixes them they would do nothing.
+OF_A_RUN = ("agents", "attention_entropy", "seed", "caution", "frames", "start_from", "episodes")
+OF_MANY = ("jobs", "backend", "address")
+
 
 @app.command()
 def command(
+    context: typer.Context,
     task: Annotated[
         str | None, typer.Option(help="blind_navigation_v0, blind_passage_v0 or blind_discovery_v0")
     ] = None,
@@ -70,6 +75,10 @@ def command(
         raise InputError(
             "give either --task, to train a policy of your own, or --reproduce, a name or `all`."
         )
+    if reproduce is not None:
+        _refuse(context, OF_A_RUN, "trains a policy as it was; to change something, train one with --task")
+    if reproduce != "all":
+        _refuse(context, OF_MANY, "trains one policy; side by side are those of --reproduce all")
     if reproduce == "all":
         raise typer.Exit(train_missing(out, Workers(jobs, backend, address)))
     if reproduce is not None:
@@ -87,6 +96,16 @@ def command(
     start = None if start_from is None else start_from.resolve().name
     run = Run(recipe, agents, attention_entropy, seed, caution, start)
     _train(run, out, resume=resume, start_from=start_from, episodes=episodes)
+
+
+def _refuse(context: typer.Context, options: tuple[str, ...], why: str) -> None:
+    """Raises InputError where one of the options was given."""
+    for option in options:
+        source = context.get_parameter_source(option)
+        if source is not None and source.name != "DEFAULT":
+            given = "task" if context.params["reproduce"] is None else "reproduce"
+            name = option.replace("_", "-")
+            raise InputError(f"--{given} {context.params[given]} {why}: leave out --{name}.")
 
 
 def _train(run: Run, out: Path, *, resume: bool, start_from: Path | None, episodes: int) -> None:

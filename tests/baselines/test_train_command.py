@@ -56,6 +56,10 @@ def test_a_run_ends_with_a_policy_that_loads(
         (("--task", "blind_passage_v0", "--attention-entropy", "-1"), "equal to 0"),
         (("--task", "blind_passage_v0", "--frames", "0"), "equal to 1"),
         (("--reproduce", "all", "--address", "127.0.0.1:9"), "of no use to loky"),
+        (("--reproduce", "all", "--seed", "0"), "leave out --seed"),
+        (("--reproduce", "discovery-n3-lambda0-seed0", "--caution", "2"), "leave out --caution"),
+        (("--reproduce", "discovery-n3-lambda0-seed0", "--jobs", "2"), "leave out --jobs"),
+        (("--task", "blind_discovery_v0", "--backend", "ray"), "leave out --backend"),
     ],
 )
 def test_bad_input_is_refused(

@@ -21,7 +21,7 @@ def test_every_shipped_policy_scores(tmp_path: Path) -> None:
     for name, folder in policies.items():
         _, card = load_policy(folder)
         assert card.name == name
-        entry = score(name, "attention", episodes=2, timesteps=5, behaviour_episodes=0)
+        entry = score(name, "attention", episodes=1, timesteps=5, max_cycles=40, behaviour_episodes=0)
         (cell,) = entry.results
         assert (cell.task, cell.n_agents) == (card.task, card.n_agents)
         assert cell.metrics.gef is not None
@@ -34,13 +34,15 @@ def test_every_shipped_policy_scores(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_cards_state_what_is_measured_again() -> None:
-    """Success over the episodes of the card, within what another processor's rounding may change."""
+    """Success over the first half of the card's episodes: within what the other half, and the rounding of
+    another processor, may change (a difference of 0.1 is 2.8 standard errors where success is a coin's)."""
     for task in TASKS:
         name = f"{task.removeprefix('blind_').removesuffix('_v0')}-n3-lambda0-seed0"
         policy, card = load_policy(find_policies()[name])
         claimed = Performance(**card.performance)
         (measured,) = evaluate(
-            [(policy, Cell(card.task, card.n_agents))], Sampling(episodes=claimed.episodes, seed=claimed.seed)
+            [(policy, Cell(card.task, card.n_agents))],
+            Sampling(episodes=claimed.episodes // 2, seed=claimed.seed),
         )
         for mine, theirs in (
             (measured.with_messages, claimed.with_messages),

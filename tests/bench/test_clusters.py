@@ -1,4 +1,4 @@
-"""Fan-out on a real Dask cluster: a scheduler on loopback and two worker processes."""
+"""Fan-out on real clusters, of Ray and of Dask: a head on loopback and two worker processes."""
 
 from __future__ import annotations
 
@@ -9,20 +9,32 @@ from pathlib import Path
 import pytest
 
 from tests.bench import units_of_work
-from tests.bench.clusters import dask_cluster
+from tests.bench.clusters import dask_cluster, ray_cluster
 from tests.bench.units_of_work import entries, kill_worker_once, some_rollouts
 from tests.conftest import MakeBundle
 from xmarl_bench.errors import InputError
 from xmarl_bench.fan_out import Failure, fan_out, in_order
-from xmarl_bench.workers import Workers
+from xmarl_bench.workers import BackendName, Workers
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def workers() -> Iterator[Workers]:
+def ray() -> Iterator[str]:
+    with ray_cluster() as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def dask() -> Iterator[str]:
     with dask_cluster() as address:
-        yield Workers(None, "dask", address)
+        yield address
+
+
+@pytest.fixture(params=["ray", "dask"])
+def workers(request: pytest.FixtureRequest) -> Workers:
+    backend: BackendName = request.param
+    return Workers(None, backend, request.getfixturevalue(backend))
 
 
 def test_two_processes_compute(workers: Workers) -> None:
@@ -41,6 +53,11 @@ def test_results_are_those_of_one_process_though_a_worker_was_killed(
     assert units_of_work.to_the_bit(played) == units_of_work.to_the_bit(expected)
 
 
+def test_entries_are_those_of_one_process(workers: Workers, make_bundle: MakeBundle) -> None:
+    bundle = make_bundle()
+    assert entries(bundle, workers) == entries(bundle, Workers())
+
+
 def test_failures_stay_alone(workers: Workers) -> None:
     returned = dict(fan_out(units_of_work.fail, [0, 1, 2, 3, 4, 5], workers=workers))
     errors = {k: each.error for k, each in returned.items() if isinstance(each, Failure)}
@@ -48,27 +65,28 @@ def test_failures_stay_alone(workers: Workers) -> None:
     assert errors[1] == "a sentence of its own."
 
 
-def test_a_unit_that_kills_its_workers_is_a_failure_at_last() -> None:
-    """On workers of this machine, that one is given no second chance by the scheduler's own counting."""
-    returned = dict(fan_out(units_of_work.kill_worker, range(6), workers=Workers(2, "dask")))
+def test_jobs_bounds_what_is_under_way(workers: Workers) -> None:
+    one = Workers(1, workers.backend, workers.address)
+    times = sorted(in_order(units_of_work.started_and_ended, range(6), workers=one))
+    assert all(ended <= started for (_, ended), (started, _) in pairwise(times))
+
+
+@pytest.mark.parametrize("backend", ["ray", "dask"])
+def test_a_unit_that_kills_its_workers_is_a_failure_at_last(
+    backend: BackendName, request: pytest.FixtureRequest
+) -> None:
+    """On Dask's workers of this machine: that one is given no second chance by a scheduler's own counting."""
+    workers = (
+        Workers(2, "dask") if backend == "dask" else Workers(None, "ray", request.getfixturevalue("ray"))
+    )
+    returned = dict(fan_out(units_of_work.kill_worker, range(6), workers=workers))
     failure = returned.pop(3)
     assert isinstance(failure, Failure)
     assert failure.error.startswith("its worker died twice")
     assert returned == {k: k for k in range(6) if k != 3}
 
 
-def test_entries_are_those_of_one_process(workers: Workers, make_bundle: MakeBundle) -> None:
-    bundle = make_bundle()
-    assert entries(bundle, workers) == entries(bundle, Workers())
-
-
-def test_jobs_bounds_what_is_under_way(workers: Workers) -> None:
-    one = Workers(1, "dask", workers.address)
-    times = sorted(in_order(units_of_work.started_and_ended, range(6), workers=one))
-    assert all(ended <= started for (_, ended), (started, _) in pairwise(times))
-
-
-def test_workers_with_several_threads_are_refused() -> None:
+def test_dask_workers_with_several_threads_are_refused() -> None:
     said = "has 2 threads, and each unit needs a process of its own"
     with dask_cluster("--nworkers", "1", "--nthreads", "2") as address, pytest.raises(InputError, match=said):
         list(fan_out(units_of_work.square, [1], workers=Workers(None, "dask", address)))

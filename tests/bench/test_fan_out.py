@@ -15,7 +15,6 @@ import pytest
 from joblib import Parallel, delayed
 
 from tests.bench import units_of_work
-from tests.conftest import MakeBundle
 from xmarl_bench.errors import InputError
 from xmarl_bench.fan_out import Failure, WorkerDiedError, fan_out, in_order
 from xmarl_bench.joblib_backends import AHEAD
@@ -133,12 +132,6 @@ def test_a_worker_that_dies_costs_only_the_unit_that_kills_it() -> None:
             assert returned[k] == k
     with pytest.raises(WorkerDiedError):
         list(in_order(units_of_work.kill_worker, range(5), workers=TWO))
-
-
-@pytest.mark.slow
-def test_entries_of_two_processes_are_those_of_one(make_bundle: MakeBundle) -> None:
-    bundle = make_bundle()
-    assert units_of_work.entries(bundle, TWO) == units_of_work.entries(bundle, Workers())
 
 
 def test_a_worker_killed_from_outside_costs_nothing() -> None:

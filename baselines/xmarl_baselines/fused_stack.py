@@ -73,7 +73,6 @@ class Stack:
         return gradient
 
 
-
 def _ordered(weight: Tensor) -> Tensor:
     """The weight as oneDNN likes to read it."""
     ordered: Tensor = torch.ops.mkldnn._reorder_linear_weight(weight, ROWS)

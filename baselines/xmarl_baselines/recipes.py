@@ -89,6 +89,28 @@ class Recipe:
             imitation = replace(imitation, rounds=rounds)
         return replace(self, frames=frames if self.frames else 0, imitation=imitation)
 
+    def with_attention_start(self, share: float) -> Recipe:
+        """The recipe whose attention-entropy term sets in after this share of its frames, or of its rounds
+        of imitation where it is imitation alone. Raises InputError where its ramp would not end in time."""
+        how = self._with_term
+        if share + how.attention_ramp > 1.0:
+            raise InputError(
+                f"attention-start {share:g} is too late: the term takes {how.attention_ramp:g} of training to "
+                f"grow to its weight; start at {1.0 - how.attention_ramp:g} or before."
+            )
+        changed = replace(how, attention_start=share)
+        return changed if isinstance(changed, Recipe) else replace(self, imitation=changed)
+
+    @property
+    def starts_attention(self) -> float:
+        """The share of training before the attention-entropy term."""
+        return self._with_term.attention_start
+
+    @property
+    def _with_term(self) -> Recipe | Imitation:
+        """What holds the term's schedule: imitation where there is nothing else."""
+        return self if self.frames or self.imitation is None else self.imitation
+
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Recipe:
         """The recipe that a card holds; what it does not say (it is older) is the default."""

@@ -31,7 +31,16 @@ from xmarl_bench.workers import Workers
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 # Options of a run of one's own, and of many runs: beside what fixes them they would do nothing.
-OF_A_RUN = ("agents", "attention_entropy", "seed", "caution", "frames", "start_from", "episodes")
+OF_A_RUN = (
+    "agents",
+    "attention_entropy",
+    "attention_start",
+    "seed",
+    "caution",
+    "frames",
+    "start_from",
+    "episodes",
+)
 OF_MANY = ("jobs", "backend", "address")
 
 
@@ -56,6 +65,10 @@ def command(
     attention_entropy: Annotated[
         float, typer.Option(min=0, help="lambda of the attention-entropy term")
     ] = 0.0,
+    attention_start: Annotated[
+        float | None,
+        typer.Option(min=0, max=1, help="share of training before that term sets in; the recipe's"),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="training seed")] = 0,
     caution: Annotated[
         float, typer.Option(min=0, help="multiplies the penalties of touching and of being near")
@@ -93,6 +106,8 @@ def command(
         recipe = recipe.fine_tuning()
     if frames is not None:
         recipe = recipe.shortened(frames)
+    if attention_start is not None:
+        recipe = recipe.with_attention_start(attention_start)
     start = None if start_from is None else start_from.resolve().name
     run = Run(recipe, agents, attention_entropy, seed, caution, start)
     _train(run, out, resume=resume, start_from=start_from, episodes=episodes)
@@ -186,9 +201,11 @@ def _command(run: Run) -> str:
     """What trains this policy again."""
     if (reference_runs() | schedule_runs()).get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"
+    start, usual = run.recipe.starts_attention, recipe_for(run.recipe.task).starts_attention
     return (
         f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
         f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.played}"
+        + ("" if start == usual or run.start_from is not None else f" --attention-start {start:g}")
         + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
         + ("" if run.start_from is None else f" --start-from runs/{run.start_from}")
     )

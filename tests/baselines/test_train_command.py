@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 from xmarl_baselines.policies import shipped_policies
-from xmarl_baselines.recipes import RECIPES
+from xmarl_baselines.recipes import RECIPES, recipe_for
 from xmarl_baselines.reference import SEEDS, SIZES, reference_runs, run_named
-from xmarl_baselines.train import main, train_missing
+from xmarl_baselines.train import _command, main, train_missing
+from xmarl_baselines.trainer import Run
 
 from tests.baselines.test_training import short_validation, small
 from xmarl_bench.errors import InputError
@@ -55,6 +56,7 @@ def test_a_run_ends_with_a_policy_that_loads(
         (("--task", "blind_passage_v0", "--start-from", "nowhere"), "checkpoint"),
         (("--task", "blind_passage_v0", "--attention-entropy", "-1"), "equal to 0"),
         (("--task", "blind_passage_v0", "--frames", "0"), "equal to 1"),
+        (("--task", "blind_passage_v0", "--attention-start", "0.7"), "start at 0.6 or before"),
         (("--reproduce", "all", "--address", "127.0.0.1:9"), "of no use to loky"),
         (("--reproduce", "all", "--seed", "0"), "leave out --seed"),
         (("--reproduce", "discovery-n3-lambda0-seed0", "--caution", "2"), "leave out --caution"),
@@ -95,6 +97,16 @@ def test_reference_runs_have_the_names_of_their_settings() -> None:
     assert all(run.name == name for name, run in runs.items())
     first = list(runs.values())[: len(RECIPES) * len(SIZES) * 2]
     assert {run.seed for run in first} == {SEEDS[0]}
+
+
+def test_the_command_says_when_the_attention_term_sets_in() -> None:
+    imitated, rewarded = (recipe_for(f"blind_{task}_v0") for task in ("passage", "discovery"))
+    later = imitated.with_attention_start(0.5)
+    assert later.imitation is not None
+    assert later.imitation.attention_start == later.starts_attention == 0.5
+    assert rewarded.with_attention_start(0.25).attention_start == 0.25
+    assert "--attention-start 0.5" in _command(Run(later, 5, 0.02, seed=2))
+    assert "--attention-start" not in _command(Run(imitated, 5, 0.02, seed=2))
 
 
 def test_a_shipped_policy_is_reproduced_by_the_run_that_its_card_records() -> None:

@@ -95,8 +95,8 @@ class Recipe:
         how = self._with_term
         if share + how.attention_ramp > 1.0:
             raise InputError(
-                f"attention-start {share:g} is too late: the term takes {how.attention_ramp:g} of training to "
-                f"grow to its weight; start at {1.0 - how.attention_ramp:g} or before."
+                f"attention-start {share:g} is too late: the term takes {how.attention_ramp:g} of training "
+                f"to grow to its weight; start at {1.0 - how.attention_ramp:g} or before."
             )
         changed = replace(how, attention_start=share)
         return changed if isinstance(changed, Recipe) else replace(self, imitation=changed)

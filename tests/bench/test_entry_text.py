@@ -20,7 +20,12 @@ ENTRY = made_entry("policy", "explainer", 0.5, episodes=4)
 plain = (
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
 )
-values = st.recursive(plain, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner))
+# Deep and wide enough for every break of a line; most of the time goes into drawing them.
+values = st.recursive(
+    plain,
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(), inner, max_size=5),
+    max_leaves=20,
+)
 
 
 @given(values, st.integers(0, 4))
@@ -28,7 +33,7 @@ def test_lines_are_canonical_but_for_their_breaks(value: Any, levels: int) -> No
     assert json_lines(value, levels).replace(b"\n", b"") == canonical_json(value)
 
 
-@given(st.dictionaries(st.text(), values))
+@given(st.dictionaries(st.text(), values, max_size=5))
 def test_members_make_the_object(value: dict[str, Any]) -> None:
     assert object_of(members(value)) == canonical_json(value)
 

@@ -37,8 +37,9 @@ def workers(request: pytest.FixtureRequest) -> Workers:
     return Workers(None, backend, request.getfixturevalue(backend))
 
 
-def test_two_processes_compute(workers: Workers) -> None:
-    pids = {pid for _, pid in fan_out(units_of_work.process, range(30), workers=workers)}
+def test_two_processes_compute(workers: Workers, tmp_path: Path) -> None:
+    units = [str(tmp_path)] * 30
+    pids = {pid for _, pid in fan_out(units_of_work.process_beside_another, units, workers=workers)}
     assert len(pids) == 2
 
 

@@ -21,7 +21,15 @@ def square(number: int) -> int:
 
 
 def process(number: int) -> int:
-    time.sleep(0.02)
+    return os.getpid()
+
+
+def process_beside_another(folder: str) -> int:
+    """This process, once another one has come to the folder too: however slowly it starts."""
+    (Path(folder) / str(os.getpid())).touch()
+    until = time.monotonic() + 60
+    while len(list(Path(folder).iterdir())) < 2 and time.monotonic() < until:
+        time.sleep(0.01)
     return os.getpid()
 
 
@@ -75,9 +83,10 @@ def kill_worker_once(unit: tuple[Rollout, Path | None]) -> list[Episode]:
     return rollout.play()
 
 
-def sleep_long(number: int) -> int:
+def sleep_long(mark: str) -> None:
+    """The file named says that it has begun."""
+    Path(mark).touch()
     time.sleep(600)
-    return number
 
 
 def started_and_ended(number: int) -> tuple[float, float]:

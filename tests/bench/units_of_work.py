@@ -28,7 +28,9 @@ def process_beside_another(folder: str) -> int:
     """This process, once another one has come to the folder too: however slowly it starts."""
     (Path(folder) / str(os.getpid())).touch()
     until = time.monotonic() + 60
-    while len(list(Path(folder).iterdir())) < 2 and time.monotonic() < until:
+    while len(list(Path(folder).iterdir())) < 2:
+        if time.monotonic() > until:
+            (Path(folder) / "nobody").touch()  # no later unit waits again
         time.sleep(0.01)
     return os.getpid()
 

@@ -12,7 +12,9 @@ from xmarl_bench.errors import InputError
 
 if TYPE_CHECKING:  # torch takes a worker seconds to import, and few of these need it
     from xmarl_bench.measure import Unit
+    from xmarl_bench.policy import Policy
     from xmarl_bench.rollout import Episode, Rollout
+    from xmarl_bench.sweep.carried import Carried
     from xmarl_bench.workers import Workers
 
 
@@ -33,6 +35,12 @@ def process_beside_another(folder: str) -> int:
             (Path(folder) / "nobody").touch()  # no later unit waits again
         time.sleep(0.01)
     return os.getpid()
+
+
+def loaded(carried: Carried[tuple[Policy, str]]) -> tuple[int, int]:
+    """This process and its policy, once there are two of them."""
+    policy, folder = carried.load
+    return process_beside_another(folder), id(policy)
 
 
 def threads(number: int) -> dict[str, str | None]:

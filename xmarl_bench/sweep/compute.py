@@ -16,25 +16,30 @@ from xmarl_bench.fan_out import Failure, fan_out
 from xmarl_bench.fitting import fitted
 from xmarl_bench.measure import Explained, Measured, Unit
 from xmarl_bench.protocol import SANITY_EPISODES
-from xmarl_bench.rollout import Rollout
+from xmarl_bench.rollout import Episode, Rollout
+from xmarl_bench.sweep.carried import Carried
 from xmarl_bench.sweep.finished import Finished, Result, encode
 from xmarl_bench.sweep.work import Piece, World
 from xmarl_bench.workers import Workers
 
 Group = tuple[Piece, ...]  # of the same states, which one worker prepares once; or one block to act out
-Handed = (
-    tuple[Unit, ...] | BehaviourBlock | str
-)  # a group as a worker gets it; a text is why it cannot be had
+Handed = Carried[tuple[Unit, ...] | BehaviourBlock | str]  # a group; a text is why it cannot be had
 Returned = list[Measured] | Played | InputError
 
 
+def play(rollout: Carried[Rollout]) -> list[Episode]:
+    """What a worker does first."""
+    return rollout.load.play()
+
+
 def run(handed: Handed) -> Returned:
-    """What a worker does."""
-    if isinstance(handed, str):
-        raise InputError(handed)
-    if isinstance(handed, BehaviourBlock):
-        return handed.run()
-    return [unit.run() for unit in handed]
+    """What a worker does then."""
+    load = handed.load
+    if isinstance(load, str):
+        raise InputError(load)
+    if isinstance(load, BehaviourBlock):
+        return load.run()
+    return [unit.run() for unit in load]
 
 
 @dataclass
@@ -84,14 +89,12 @@ class Sweep:
     def _play(self, pieces: Sequence[Piece]) -> Iterator[Piece]:
         units = (self._rollout(piece) for piece in pieces)
         title = "roll out" if self.progress else None
-        for k, episodes in fan_out(
-            Rollout.play, units, workers=self.workers, total=len(pieces), progress=title
-        ):
+        for k, episodes in fan_out(play, units, workers=self.workers, total=len(pieces), progress=title):
             yield self._settle(pieces[k], episodes)
 
-    def _rollout(self, piece: Piece) -> Rollout:
+    def _rollout(self, piece: Piece) -> Carried[Rollout]:
         world = piece.block.world
-        return Rollout(
+        rollout = Rollout(
             world.policy,
             world.cell.task,
             world.cell.n_agents,
@@ -99,6 +102,7 @@ class Sweep:
             world.max_cycles,
             parallel_episodes=self.parallel_episodes,
         )
+        return Carried(rollout, world.policy)
 
     def _make_ready(self, pieces: Sequence[Piece]) -> Iterator[Piece]:
         """Fit explainers that learn to the policies, and try each on one timestep, until it works on one."""
@@ -159,9 +163,10 @@ class Sweep:
         """Never raises: it is called wherever the next unit is wanted, in threads of joblib too."""
         piece = group[0]
         try:
-            return self._acting(piece) if piece.source is None else self._units(group)
+            load = self._acting(piece) if piece.source is None else self._units(group)
         except InputError as error:
-            return str(error)
+            return Carried(str(error), piece.block.world.policy)
+        return Carried(load, piece.block.world.policy)
 
     def _units(self, group: Group) -> tuple[Unit, ...]:
         piece = group[0]

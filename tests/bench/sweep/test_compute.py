@@ -49,10 +49,11 @@ class Spy:
             return play(rollout)
 
         def spied_run(handed: Handed) -> object:
-            if isinstance(handed, tuple):
-                unit: Unit = handed[0]
+            units = handed.load
+            if isinstance(units, tuple):
+                unit: Unit = units[0]
                 names = [each.name for each in unit.explainers] + ["shared"] * unit.shared
-                self.seen.append(f"{' '.join(names)} {len(handed)}")
+                self.seen.append(f"{' '.join(names)} {len(units)}")
             return run(handed)
 
         monkeypatch.setattr(Rollout, "play", spied_play)
@@ -148,7 +149,8 @@ def test_blame_is_exact_where_a_whole_group_fails(
     """As where memory ends, which no explainer can be asked about."""
 
     def out_of_memory(handed: Handed) -> object:
-        if isinstance(handed, tuple) and any(each.name == "occlusion" for each in handed[0].explainers):
+        units = handed.load
+        if isinstance(units, tuple) and any(each.name == "occlusion" for each in units[0].explainers):
             raise MemoryError("no more")
         return run(handed)
 

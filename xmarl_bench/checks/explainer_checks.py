@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Final
 
 import torch
-from joblib import Parallel, delayed
 from torch import Tensor
 
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
@@ -30,10 +29,12 @@ from xmarl_bench.explainer import (
     run_explainer,
     seen,
 )
+from xmarl_bench.fan_out import in_order
 from xmarl_bench.fitting import fit_states, fitted
 from xmarl_bench.measure import spaced_timesteps
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread, seeded
+from xmarl_bench.workers import Workers
 
 SEED: Final = 1
 ROUNDING: Final = 1e-4  # matrix products round by the size of their batch
@@ -127,9 +128,9 @@ def another_seed(subject: ExplainerSubject) -> str:
 
 def another_process(subject: ExplainerSubject) -> str:
     first = subject.mask_or_skip()
-    work = delayed(_one_thread)(subject.explainer, subject.policy, subject.observations)
+    work = subject.explainer, subject.policy, subject.observations
     try:
-        (second,) = Parallel(n_jobs=2)([work])
+        (second,) = in_order(_one_thread, [work], workers=Workers(2))
     except InputError:
         raise
     except Exception as error:
@@ -280,7 +281,8 @@ def _call(subject: ExplainerSubject, policy: Policy, observations: Tensor) -> No
             explainer.explain(seen(explainer, policy), x, generator)
 
 
-def _one_thread(explainer: Explainer, policy: Policy, observations: Tensor) -> Tensor:
+def _one_thread(work: tuple[Explainer, Policy, Tensor]) -> Tensor:
+    explainer, policy, observations = work
     with one_thread():
         return run_explainer(explainer, policy, observations.clone(), SEED)
 

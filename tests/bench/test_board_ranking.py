@@ -81,6 +81,15 @@ def test_places_by_hand() -> None:
     assert interval[0] < blocks[0][3].mean() < interval[1]
 
 
+def test_what_is_equal_but_for_rounding_shares_a_rank() -> None:
+    (block,) = noisy([1.0, 0.0], n_policies=1, n_episodes=12)
+    block = np.stack([block[1], block[0], block[0] * (1 + 1e-15)])
+    found = places([float(row.mean()) for row in block], [block], rng())
+    assert [place.rank for place in found] == [3, 1, 1]
+    assert [place.rank_interval for place in found] == [(3, 3), (1, 1), (1, 1)]
+    assert [place.tie_group for place in found] == [2, 1, 1]
+
+
 @given(st.lists(st.floats(-1, 1), min_size=1, max_size=5), st.integers(1, 3), st.integers(0, 5))
 def test_places_are_a_ranking(levels: list[float], n_policies: int, seed: int) -> None:
     blocks = noisy(levels, n_policies, 8, seed)

@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 
 from xmarl_bench.statistics import CHUNK, RESAMPLES, groups_by_head, percentiles
 
+DIGITS = (
+    9  # after the point: what is beyond is rounding, as between attention and attention over its row maximum
+)
+
 Floats = NDArray[np.float64]
 Explainer = TypeVar("Explainer", bound=Hashable)
 Policy = TypeVar("Policy", bound=Hashable)
@@ -26,7 +30,7 @@ Policy = TypeVar("Policy", bound=Hashable)
 class Place:
     """Where a competitor stands. Without two complete episodes nothing is known: no intervals, all tied."""
 
-    rank: int  # from 1, by value
+    rank: int  # from 1, by value; equal values share one
     rank_interval: tuple[int, int] | None  # 95 %
     interval: tuple[float, float] | None  # 95 %, of the mean
     tie_group: int  # from 1; who shares it with the group's first cannot be told from the first
@@ -35,26 +39,27 @@ class Place:
 def places(values: Sequence[float], blocks: Sequence[Floats], rng: np.random.Generator) -> list[Place]:
     """The places of R competitors.
 
-    values: R means, which decide the order; equal ones keep theirs.
+    values: R means, which decide the order. They are equal where DIGITS digits are.
     blocks: for each policy the competitors' episodes (R, E_g), NaN where one is not a number. An episode
         counts where all competitors have a number.
     """
     if not values:
         return []
-    order = np.argsort(-np.asarray(values), kind="stable")
+    rounded = np.round(np.asarray(values), DIGITS)
+    order = np.argsort(-rounded, kind="stable")
+    ranks = 1 + (rounded[None, :] > rounded[:, None]).sum(axis=1)
     complete = [block[:, ~np.isnan(block).any(axis=0)] for block in blocks]
     complete = [block for block in complete if block.shape[1]]
     if sum(block.shape[1] for block in complete) < 2:
-        return [Place(int(np.flatnonzero(order == r)[0]) + 1, None, None, 1) for r in range(len(values))]
-    samples = resampled(complete, rng)
+        return [Place(int(rank), None, None, 1) for rank in ranks]
+    samples = np.round(resampled(complete, rng), DIGITS)
     above = (samples[:, None, :] > samples[:, :, None]).sum(axis=2)  # [b, r]: so many are better than r
     low, high = np.quantile(above + 1, [0.025, 0.975], axis=0, method="closest_observation")
     groups = _tie_groups(samples, order)
-    found: dict[int, Place] = {}
-    for rank, r in enumerate(order, start=1):
-        rank_interval = int(low[r]), int(high[r])
-        found[int(r)] = Place(rank, rank_interval, percentiles(samples[:, r]), groups[int(r)])
-    return [found[r] for r in range(len(values))]
+    return [
+        Place(int(ranks[r]), (int(low[r]), int(high[r])), percentiles(samples[:, r]), groups[r])
+        for r in range(len(values))
+    ]
 
 
 def resampled(blocks: Sequence[Floats], rng: np.random.Generator, resamples: int = RESAMPLES) -> Floats:

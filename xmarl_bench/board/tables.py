@@ -16,7 +16,7 @@ import numpy as np
 
 from xmarl_bench.board.columns import COLUMNS, GATE, ORDER, PAPER, POLICY_METRICS, UNSHOWN
 from xmarl_bench.board.gate import shut_gate
-from xmarl_bench.board.ranking import Floats, Place, complete_part, places
+from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.controls import INVERTED
 from xmarl_bench.entry import CellResult, ControlMetrics, Entry, Metrics
 from xmarl_bench.files import canonical_json
@@ -173,7 +173,7 @@ def _finish(group: Group) -> None:
 
     def key(row: Json) -> tuple[bool, float, str, str]:
         by = value_of(row)
-        return by is None, 0.0 if by is None else -by, row["file"], row["explainer"]
+        return by is None, 0.0 if by is None else -round(by, DIGITS), row["file"], row["explainer"]
 
     group.rows.sort(key=key)
     rows = group.ranked
@@ -244,7 +244,7 @@ def _ranking_row(name: str, rows: Sequence[Json], control: bool, place: Place | 
         "rank": None if place is None else place.rank,
         "rank_interval": None if place is None else place.rank_interval,
         "tie_group": None if place is None else place.tie_group,
-        "value": float(np.mean(_values(rows))),
+        "value": round(float(np.mean(_values(rows))), DIGITS),
         "interval": None if place is None else place.interval,
         "n_policies": len(rows),
         "means": {metric: _mean(rows, metric) for metric in PAPER},

@@ -107,15 +107,20 @@ def benchmarl(folder: Path) -> Callable[[], None]:
     """An experiment of one iteration, ready to run."""
     from torchrl import collectors
 
-    # Its name until TorchRL 0.13; BenchMARL 1.5 still asks for it.
+    # TorchRL has renamed some of what BenchMARL 1.5.1 asks for; 1.5.2 cannot be had beside it.
     collectors.SyncDataCollector = collectors.Collector
     pytest.importorskip("benchmarl", reason="of the `bench` extra")
-    from benchmarl.algorithms import MappoConfig
+    from benchmarl.algorithms import MappoConfig, mappo
     from benchmarl.environments import VmasTask
     from benchmarl.experiment import Experiment, ExperimentConfig
     from benchmarl.models import GnnConfig, MlpConfig, SequenceModelConfig
     from torch_geometric.nn import GATv2Conv
 
+    loss = mappo.ClipPPOLoss
+    if isinstance(loss, type):
+        mappo.ClipPPOLoss = lambda **given: loss(
+            **{f"{name}f" if name.endswith("_coef") else name: value for name, value in given.items()}
+        )
     config = ExperimentConfig.get_from_yaml()
     config.on_policy_collected_frames_per_batch = FRAMES
     config.on_policy_n_envs_per_worker = SCHEDULE.n_envs

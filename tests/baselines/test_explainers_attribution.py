@@ -54,7 +54,7 @@ def test_gradient_equals_finite_differences() -> None:
 
 @pytest.mark.parametrize("name", TRAINED)
 def test_integrated_gradients_are_complete(name: str) -> None:
-    policy, x = trained(name, 20)
+    policy, x = trained(name, 5)
     total = gradient_at(policy, x, midpoints(4000)).sum(dim=-1)
     torch.testing.assert_close(total, silence(policy, x), rtol=0, atol=0.01)
 

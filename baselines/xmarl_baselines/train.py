@@ -201,11 +201,14 @@ def _command(run: Run) -> str:
     """What trains this policy again."""
     if (reference_runs() | schedule_runs()).get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"
-    start, usual = run.recipe.starts_attention, recipe_for(run.recipe.task).starts_attention
+    usual = recipe_for(run.recipe.task)
+    if run.start_from is not None:
+        usual = usual.fine_tuning()
+    start = run.recipe.starts_attention
     return (
         f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
         f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.played}"
-        + ("" if start == usual or run.start_from is not None else f" --attention-start {start:g}")
+        + ("" if start == usual.starts_attention else f" --attention-start {start:g}")
         + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
         + ("" if run.start_from is None else f" --start-from runs/{run.start_from}")
     )

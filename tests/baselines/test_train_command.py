@@ -107,6 +107,10 @@ def test_the_command_says_when_the_attention_term_sets_in() -> None:
     assert rewarded.with_attention_start(0.25).attention_start == 0.25
     assert "--attention-start 0.5" in _command(Run(later, 5, 0.02, seed=2))
     assert "--attention-start" not in _command(Run(imitated, 5, 0.02, seed=2))
+    finer = rewarded.fine_tuning()
+    assert "--attention-start" not in _command(Run(finer, 3, 0.1, start_from="first"))
+    later = finer.with_attention_start(0.25)
+    assert "--attention-start 0.25" in _command(Run(later, 3, 0.1, start_from="first"))
 
 
 def test_a_shipped_policy_is_reproduced_by_the_run_that_its_card_records() -> None:

@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from xmarl_bench.statistics import CHUNK, RESAMPLES, groups_by_head, percentiles
 
-DIGITS = (
-    9  # after the point: what is beyond is rounding, as between attention and attention over its row maximum
-)
+DIGITS = 9  # after the point; what is beyond is rounding, as between attention and attention-rowmax
 
 Floats = NDArray[np.float64]
 Explainer = TypeVar("Explainer", bound=Hashable)

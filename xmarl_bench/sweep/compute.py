@@ -23,7 +23,8 @@ from xmarl_bench.sweep.work import Piece, World
 from xmarl_bench.workers import Workers
 
 Group = tuple[Piece, ...]  # of the same states, which one worker prepares once; or one block to act out
-Handed = Carried[tuple[Unit, ...] | BehaviourBlock | str]  # a group; a text is why it cannot be had
+Load = tuple[Unit, ...] | BehaviourBlock | str  # a group; a text is why it cannot be had
+Handed = Carried[Load]
 Returned = list[Measured] | Played | InputError
 
 
@@ -162,10 +163,11 @@ class Sweep:
     def _hand(self, group: Group) -> Handed:
         """Never raises: it is called wherever the next unit is wanted, in threads of joblib too."""
         piece = group[0]
+        load: Load
         try:
             load = self._acting(piece) if piece.source is None else self._units(group)
         except InputError as error:
-            return Carried(str(error), piece.block.world.policy)
+            load = str(error)
         return Carried(load, piece.block.world.policy)
 
     def _units(self, group: Group) -> tuple[Unit, ...]:

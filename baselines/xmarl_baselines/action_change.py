@@ -53,8 +53,8 @@ def _layers_after_attention(policy: GraphPolicy) -> list[Layer] | None:
         return None
     weight, bias, _ = fused.layers[-1]
     n = policy.architecture.action_dim
-    # A product with the identity is exact, and oneDNN adds the bias and takes the tanh on the way.
-    first = Layer(torch.eye(len(policy.gat.bias)), policy.gat.bias.detach(), activation)
+    # A product with the identity is exact, and oneDNN takes the tanh on the way.
+    first = Layer(torch.eye(len(policy.gat.bias)), None, activation)
     last = Layer(weight[:n].contiguous(), None if bias is None else bias[:n].contiguous(), "tanh")
     return [first, *fused.layers[:-1], last]
 
@@ -84,7 +84,7 @@ class _ByStack:
 
     def __init__(self, policy: GraphPolicy, stack: Stack, observations: Tensor) -> None:
         self._stack = stack
-        self._attention, self._message = policy.prepare(observations)
+        self._attention, self._message, self._own = policy.prepare(observations)
         parts = [stack.forward(x)[-1] for x in self._heard(torch.ones_like(self._attention))]
         self.target = torch.cat(parts).view(*observations.shape[:2], -1)
 
@@ -104,7 +104,7 @@ class _ByStack:
 
     def _heard(self, mask: Tensor) -> tuple[Tensor, ...]:
         """(S, N, N) -> the sum of its messages for each agent, (rows, W), ROWS at a time."""
-        heard = torch.bmm(self._attention * mask, self._message).flatten(0, 1)
+        heard = torch.baddbmm(self._own, self._attention * mask, self._message).flatten(0, 1)
         return torch.split(heard, ROWS)
 
     def _pairs(self, mask: Tensor) -> zip[tuple[Tensor, Tensor]]:

@@ -24,10 +24,10 @@ from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
 from torch import Tensor
 
 from xmarl_baselines.independent_ppo import CONTROLS
-from xmarl_baselines.mappo import MAPPO
-from xmarl_baselines.model_selection import plain_actor
+from xmarl_baselines.training.mappo import MAPPO
+from xmarl_baselines.training.model_selection import plain_actor
 from xmarl_baselines.reference import run_named
-from xmarl_baselines.trainer import Run, build
+from xmarl_baselines.training.trainer import Run, build
 from xmarl_bench.evaluation import evaluate_policy
 from xmarl_bench.files import write_json
 from xmarl_bench.metrics import attention_entropy, prediction_change

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 from safetensors.torch import load_file
 
-from xmarl_baselines.model_selection import weights_at
+from xmarl_baselines.training.model_selection import weights_at
 from xmarl_baselines.policies import HERE
 from xmarl_baselines.reference import EPISODES, reference_runs
 from xmarl_bench.evaluation import evaluate_policy

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 from xmarl_baselines.policies import shipped_policies
-from xmarl_baselines.recipes import RECIPES, recipe_for
+from xmarl_baselines.training.recipes import RECIPES, recipe_for
 from xmarl_baselines.reference import SEEDS, SIZES, reference_runs, run_named
-from xmarl_baselines.train import _command, main, train_missing
-from xmarl_baselines.trainer import Run
+from xmarl_baselines.training.command import _command, main, train_missing
+from xmarl_baselines.training.trainer import Run
 
 from tests.baselines.test_training import short_validation, small
 from xmarl_bench.errors import InputError
@@ -25,7 +25,7 @@ __all__ = ["short_validation"]  # a fixture, for every test here
 def test_a_run_ends_with_a_policy_that_loads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("xmarl_baselines.train.recipe_for", lambda task: small(task, frames=160))
+    monkeypatch.setattr("xmarl_baselines.training.command.recipe_for", lambda task: small(task, frames=160))
     monkeypatch.setattr("sys.argv", ["xmarl-train", "--out", str(tmp_path), "--episodes", "1"])
     sys.argv += ["--task", "blind_discovery_v0", "--frames", "320"]
     with pytest.raises(SystemExit) as done:
@@ -81,7 +81,7 @@ def test_bad_input_is_refused(
 
 
 def test_in_a_process_of_its_own(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "xmarl_baselines.train", "--out", "runs", "--task", "chess"]
+    command = [sys.executable, "-m", "xmarl_baselines.training.command", "--out", "runs", "--task", "chess"]
     refused = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert refused.returncode == 2
     assert refused.stderr.startswith("xmarl-train: unknown task 'chess'")
@@ -135,7 +135,7 @@ def test_a_shipped_policy_is_reproduced_by_the_run_that_its_card_records() -> No
 
 def test_workers_that_wait_for_a_training_import_no_torch() -> None:
     code = (
-        "import sys, xmarl_baselines.own_process;"
+        "import sys, xmarl_baselines.training.own_process;"
         "assert not {'torch', 'torch_geometric', 'stable_baselines3'} & sys.modules.keys()"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -145,7 +145,7 @@ def test_reproduce_all_trains_what_is_missing_and_says_what_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     names = ["discovery-n3-lambda0-seed0", "passage-n3-lambda0-seed0"]
-    monkeypatch.setattr("xmarl_baselines.train.reference_runs", lambda: dict.fromkeys(["a", *names]))
+    monkeypatch.setattr("xmarl_baselines.training.command.reference_runs", lambda: dict.fromkeys(["a", *names]))
     for name in names:  # one is finished, one holds another run
         (tmp_path / name / "policy").mkdir(parents=True)
     (tmp_path / names[0] / "policy" / "policy.json").write_text("{}")

@@ -12,14 +12,14 @@ import torch
 from torch.distributions import Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 from xmarl_baselines.distance_attention import attend_by_distance
-from xmarl_baselines.fast_layers import speed_up
-from xmarl_baselines.mappo import MAPPO
-from xmarl_baselines.model_selection import VALIDATION, ModelSelection, Record, plain_actor, worth
-from xmarl_baselines.recipes import PAPER_NAVIGATION, RECIPES, Recipe, recipe_for
-from xmarl_baselines.shaping import Shaping, distance_through_gap, training_reward
-from xmarl_baselines.team_policy import log_prob
-from xmarl_baselines.team_vec_env import TeamVecEnv
-from xmarl_baselines.trainer import Run, build, train
+from xmarl_baselines.training.fast_layers import speed_up
+from xmarl_baselines.training.mappo import MAPPO
+from xmarl_baselines.training.model_selection import VALIDATION, ModelSelection, Record, plain_actor, worth
+from xmarl_baselines.training.recipes import PAPER_NAVIGATION, RECIPES, Recipe, recipe_for
+from xmarl_baselines.training.shaping import Shaping, distance_through_gap, training_reward
+from xmarl_baselines.training.team_policy import log_prob
+from xmarl_baselines.training.team_vec_env import TeamVecEnv
+from xmarl_baselines.training.trainer import Run, build, train
 from xmarl_envs import TASKS, BlindPassage, State, VectorEnv, make_task
 
 from xmarl_bench.errors import InputError
@@ -30,7 +30,7 @@ from xmarl_bench.request import Cell, Sampling
 @pytest.fixture(autouse=True)
 def short_validation(monkeypatch: pytest.MonkeyPatch) -> None:
     short = Sampling(episodes=2, max_cycles=10, seed=VALIDATION.seed)
-    monkeypatch.setattr("xmarl_baselines.model_selection.VALIDATION", short)
+    monkeypatch.setattr("xmarl_baselines.training.model_selection.VALIDATION", short)
 
 
 def small(task: str = "blind_navigation_v0", **changes: object) -> Recipe:
@@ -297,7 +297,7 @@ def test_caution_grows_over_the_run(tmp_path: Path) -> None:
             super().__setattr__(name, value)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("xmarl_baselines.trainer.TeamVecEnv", Watch)
+        patch.setattr("xmarl_baselines.training.trainer.TeamVecEnv", Watch)
         train(Run(small(caution_growth=3.0)), tmp_path / "run")
     assert seen == pytest.approx([1.0, 1.0, 1.5, 2.0, 2.5])
 

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch_geometric.nn import GATv2Conv
 from torchrl.modules import MultiAgentMLP, NormalParamExtractor
-from xmarl_baselines.recipes import recipe_for
-from xmarl_baselines.trainer import Run, build
+from xmarl_baselines.training.recipes import recipe_for
+from xmarl_baselines.training.trainer import Run, build
 
 from tests.bench.test_hostile_bundles import RAN, Payload
 from tests.bench.test_policy_layers import GAT2, random_policy, record

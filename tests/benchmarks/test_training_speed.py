@@ -25,10 +25,10 @@ import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 from torch import nn
 from xmarl_baselines.imitation import imitate
-from xmarl_baselines.mappo import MAPPO
-from xmarl_baselines.model_selection import plain_actor
-from xmarl_baselines.recipes import PAPER_SCHEDULE, RECIPES
-from xmarl_baselines.trainer import Run, build
+from xmarl_baselines.training.mappo import MAPPO
+from xmarl_baselines.training.model_selection import plain_actor
+from xmarl_baselines.training.recipes import PAPER_SCHEDULE, RECIPES
+from xmarl_baselines.training.trainer import Run, build
 from xmarl_envs import make_task
 
 from tests.benchmarks.conftest import Report

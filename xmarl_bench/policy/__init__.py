@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         GraphLayer,
         LayeredArchitecture,
     )
-    from xmarl_bench.policy.build import build_policy
+    from xmarl_bench.policy.build import build_policy, initial_policy
     from xmarl_bench.policy.bundle import PolicyCard, load_policy, save_policy
     from xmarl_bench.policy.distribution import ActionDistribution
     from xmarl_bench.policy.graph import CompleteGraph, FixedGraph, Graph, RadiusGraph, complete_graph
@@ -43,6 +43,7 @@ _HOME = {
     "build_policy": "build",
     "complete_graph": "graph",
     "existing_edges": "interface",
+    "initial_policy": "build",
     "load_policy": "bundle",
     "save_policy": "bundle",
 }
@@ -51,8 +52,7 @@ __all__ = [
     "ActionDistribution", "AnyArchitecture", "Architecture", "CodeArchitecture", "CompleteGraph",
     "FixedGraph", "Graph", "GraphLayer", "GraphPolicy", "LayeredArchitecture", "ModulePolicy", "Policy",
     "PolicyCard", "Prepared", "RadiusGraph", "build_policy", "complete_graph",
-    "existing_edges", "load_policy",
-    "save_policy",
+    "existing_edges", "initial_policy", "load_policy", "save_policy",
 ]  # fmt: skip
 
 

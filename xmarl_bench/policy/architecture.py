@@ -32,7 +32,7 @@ class Architecture(_Record):
     """MLP encoder, one GATv2 layer with one head, MLP decoder to the (loc, scale) of a TanhNormal.
 
     An empty `encoder` is the identity. On the complete graph. Source: Kailas et al. (ICML 2025), section
-    "Tasks".
+    "Tasks"; their layer has no `residual`.
     """
 
     kind: Literal["mlp-gatv2-mlp"] = "mlp-gatv2-mlp"
@@ -42,6 +42,7 @@ class Architecture(_Record):
     encoder_activation: Activation
     gat_width: Width
     gat_activation: Activation
+    residual: bool = False  # see GraphLayer
     decoder: Widths
     decoder_activation: Activation
     distribution: Literal["tanh_normal"] = "tanh_normal"
@@ -99,7 +100,7 @@ class LayeredArchitecture(_Record):
         layer = self.layers[0]
         fits = (
             len(self.layers) == 1
-            and (layer.conv, layer.heads, layer.residual) == ("GATv2Conv", 1, False)
+            and (layer.conv, layer.heads) == ("GATv2Conv", 1)
             and (self.distribution, self.scale) == ("tanh_normal", "softplus")
             and isinstance(self.graph, CompleteGraph)
         )
@@ -112,6 +113,7 @@ class LayeredArchitecture(_Record):
             encoder_activation=self.encoder_activation,
             gat_width=layer.width,
             gat_activation=layer.activation,
+            residual=layer.residual,
             decoder=self.decoder,
             decoder_activation=self.decoder_activation,
         )

@@ -6,11 +6,13 @@ from torch import Tensor, nn
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import Architecture, LayeredArchitecture
+from xmarl_bench.policy.bundle import PolicyCard, closed
 from xmarl_bench.policy.layers import LayeredNetwork
 from xmarl_bench.policy.module import ModulePolicy
 from xmarl_bench.policy.network import GraphPolicy
 from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import misfit
+from xmarl_bench.reproducible import seeded
 
 LAYER = "layers.0."  # of the network that `GraphPolicy` calls `gat.`
 
@@ -35,8 +37,9 @@ def build_policy(
 ) -> GraphPolicy | LayeredPolicy:
     """A policy in evaluation mode, on the fast path where the record allows it.
 
-    weights: tensors by the names and of the shapes of `weight_shapes`; without them the network starts at
-    random, from torch's global generator. Raises InputError for a record of too many parameters.
+    weights: tensors by the names and of the shapes of `weight_shapes`; without them the network has the
+    initial weights of torch and torch_geometric, from torch's global generator. Raises InputError for a
+    record of too many parameters.
     """
     shapes = weight_shapes(architecture)
     if weights is not None:
@@ -52,6 +55,20 @@ def build_policy(
     if weights is not None:
         network.load_state_dict(weights)
     return LayeredPolicy(architecture, network)
+
+
+def initial_policy(card: PolicyCard) -> GraphPolicy | LayeredPolicy:
+    """The network of a card as it was before training, bit for bit, in evaluation mode.
+
+    Raises InputError where the card does not give the seed of the initial weights.
+    """
+    if card.initial_seed is None:
+        raise InputError(
+            f"the card of {card.name!r} gives no seed of its initial weights: set initial_seed, the number "
+            f"given to torch.manual_seed before the network was built."
+        )
+    with seeded(card.initial_seed):
+        return build_policy(closed(card.architecture))
 
 
 def weights_of(policy: GraphPolicy | LayeredPolicy) -> dict[str, Tensor]:

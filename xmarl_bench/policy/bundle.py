@@ -46,7 +46,11 @@ class PolicyCard(BaseModel):
     task: str
     n_agents: Agents
     attention_entropy: float = Field(description="weight lambda of the attention-entropy term in training")
+    family: Name | None = Field(None, description="the networks and recipe it belongs to, e.g. `residual`")
     training_seed: int | None = None
+    initial_seed: int | None = Field(
+        None, description="what torch was seeded with before its initial weights were drawn"
+    )
     architecture: AnyArchitecture
     weights_sha256: Sha256
     training: dict[str, Any] = Field(default_factory=dict, description="how it was trained, as recorded then")
@@ -92,7 +96,7 @@ def build(card: PolicyCard, weights: Weights) -> GraphPolicy | LayeredPolicy:
     from xmarl_bench.policy.build import build_policy
 
     return build_policy(
-        _closed(card.architecture), {name: torch.tensor(array) for name, array in weights.items()}
+        closed(card.architecture), {name: torch.tensor(array) for name, array in weights.items()}
     )
 
 
@@ -120,7 +124,7 @@ def parse_weights(data: bytes, card: PolicyCard, where: str) -> Weights:
 
     Raises InputError, which says `where` they lie, for anything else.
     """
-    check_weights(data, weight_shapes(_closed(card.architecture)), where)
+    check_weights(data, weight_shapes(closed(card.architecture)), where)
     try:
         weights = load(data)
     except SafetensorError as error:
@@ -136,7 +140,7 @@ def parse_weights(data: bytes, card: PolicyCard, where: str) -> Weights:
     return weights
 
 
-def _closed(architecture: AnyArchitecture) -> Architecture | LayeredArchitecture:
-    """Of the closed list: `parse_card` takes no other."""
+def closed(architecture: AnyArchitecture) -> Architecture | LayeredArchitecture:
+    """The record of a card's network, which is of the closed list: `parse_card` takes no other."""
     assert not isinstance(architecture, CodeArchitecture)
     return architecture

@@ -33,6 +33,7 @@ class Prepared(NamedTuple):
 
     attention: Tensor  # (S, N, N), rows sum to 1: attention[s, i, j] of receiver i to sender j
     message: Tensor  # (S, N, W): W x_j of sender j
+    own: Tensor  # (S, N, W): what the layer adds to the messages of receiver i: its bias, and R x_i
 
 
 class GraphPolicy(Policy):
@@ -52,7 +53,7 @@ class GraphPolicy(Policy):
         encoded = a.encoder[-1] if a.encoder else a.obs_dim
         # Loops are explicit edges of the graph: with add_self_loops=True PyG would re-order them,
         # and read an explainer's mask in another order than the caller's, silently.
-        self.gat = GATv2Conv(encoded, a.gat_width, heads=1, add_self_loops=False)
+        self.gat = GATv2Conv(encoded, a.gat_width, heads=1, add_self_loops=False, residual=a.residual)
         self.gat_activation = ACTIVATIONS[a.gat_activation]()
         self.decoder = nn.Sequential(
             *mlp((a.gat_width, *a.decoder), a.decoder_activation),
@@ -71,15 +72,18 @@ class GraphPolicy(Policy):
         receiver = self.gat.lin_r(x)
         pair = F.leaky_relu(receiver[:, :, None] + message[:, None, :], self.gat.negative_slope)
         attention = torch.softmax(pair @ self.gat.att.view(-1), dim=-1)
-        return Prepared(attention, message)
+        own = self.gat.bias.expand_as(message) if self.gat.res is None else self.gat.res(x) + self.gat.bias
+        return Prepared(attention, message, own)
 
     def decode(self, prepared: Prepared, mask: Tensor | None = None) -> ActionDistribution:
-        """F(m): h_i = sum_j m_ij alpha_ij W x_j + b, nothing renormalised, then the decoder.
+        """F(m): h_i = sum_j m_ij alpha_ij W x_j + R x_i + b, nothing renormalised, then the decoder.
+
+        The residual R x_i is no message, so no mask scales it; without a residual it is 0.
 
         mask: (..., S, N, N) in [0, 1], any leading axes; None is the mask of ones.
         """
         weight = prepared.attention if mask is None else prepared.attention * mask
-        return self.head(weight @ prepared.message + self.gat.bias)
+        return self.head(weight @ prepared.message + prepared.own)
 
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N): the coefficients of the one head of the one layer."""

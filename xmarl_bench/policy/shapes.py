@@ -23,7 +23,9 @@ def weight_shapes(architecture: Architecture | LayeredArchitecture) -> Shapes:
     encoder = (a.obs_dim, *a.encoder)
     shapes = _mlp("encoder", encoder)
     if isinstance(a, Architecture):
-        layer = GraphLayer(conv="GATv2Conv", width=a.gat_width, activation=a.gat_activation)
+        layer = GraphLayer(
+            conv="GATv2Conv", width=a.gat_width, activation=a.gat_activation, residual=a.residual
+        )
         shapes |= _layer("gat", encoder[-1], layer)
         width = a.gat_width
     else:

@@ -10,7 +10,7 @@ from pathlib import Path
 def train_in_own_process(unit: tuple[str, Path]) -> int:
     """`xmarl-train --reproduce NAME --out OUT --resume`, which a checkpoint outlives; its exit code."""
     name, out = unit
-    program = [sys.executable, "-m", "xmarl_baselines.train"]
+    program = [sys.executable, "-m", "xmarl_baselines.training.command"]
     with (out / f"{name}.log").open("a") as log:
         return subprocess.run(
             [*program, "--reproduce", name, "--out", str(out), "--resume"],

@@ -8,18 +8,21 @@ explanations can be studied along training (Kailas et al., ICML 2025, appendix o
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
 from safetensors.torch import load_file, save
 from stable_baselines3.common.callbacks import BaseCallback
 
-from xmarl_baselines.mappo import MAPPO
+from xmarl_baselines.training.mappo import MAPPO
 from xmarl_bench.files import write_atomically, write_json
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.request import Cell, Sampling
-from xmarl_bench.rollout import roll_out
+from xmarl_bench.rollout import play
 
 VALIDATION = Sampling(episodes=100, seed=1_000)  # scoring plays seed 0 unless told otherwise
 MEASURES = ("success_rate", "no_agent_collision", "no_object_collision", "makespan")
@@ -33,11 +36,10 @@ def plain_actor(model: MAPPO) -> GraphPolicy:
     return actor.eval()
 
 
-def worth(record: Record, enough_success: float, care: float) -> tuple[float, float]:
-    """What makes one policy better than another: success up to `enough_success` plus `care` times the rate of
-    episodes in which no two agents touch; then the shorter makespan."""
-    value = min(record["success_rate"], enough_success) + care * record["no_agent_collision"]
-    return value, -record["makespan"]
+def selection_key(record: Record, care: float) -> tuple[float, float]:
+    """What makes one policy better than another: success plus `care` times the rate of episodes in which no
+    two agents touch; then the shorter makespan."""
+    return record["success_rate"] + care * record["no_agent_collision"], -record["makespan"]
 
 
 def weights_at(run: Path, record: Record) -> Path:
@@ -46,8 +48,7 @@ def weights_at(run: Path, record: Record) -> Path:
 
 
 class ModelSelection(BaseCallback):
-    """Plays the validation episodes every `every` frames, and keeps weights and figures; after a warm start
-    at frame 0 too.
+    """Plays the validation episodes every `every` frames, and keeps weights and figures.
 
     `folder` holds curve.json, one record per look, and validated/FRAMES.safetensors; both outlive an
     interruption. `best` does not choose among policies from before frame `after` (the attention-entropy term
@@ -61,19 +62,15 @@ class ModelSelection(BaseCallback):
         *,
         every: int,
         after: float,
-        enough_success: float,
         care: float,
-        warm_start: bool = False,
     ) -> None:
         super().__init__()
         self._folder, self._cell, self._every, self._after = folder, cell, every, after
-        self._enough_success, self._care, self._warm_start = enough_success, care, warm_start
+        self._care = care
         self._last = 0
 
     def _on_training_start(self) -> None:
         self._last = self.num_timesteps
-        if self._warm_start and not self.curve():
-            self.validate()  # it may be better than what becomes of it
 
     def _on_step(self) -> bool:
         return True
@@ -87,13 +84,14 @@ class ModelSelection(BaseCallback):
         """Measure the present policy and keep it."""
         assert isinstance(self.model, MAPPO)
         policy = plain_actor(self.model)
-        episodes = roll_out(
-            self._cell.make(),
-            policy,
-            VALIDATION.seeds,
-            max_cycles=VALIDATION.max_cycles,
-            parallel_episodes=VALIDATION.episodes,
-        )
+
+        @torch.inference_mode()
+        def act(observation: NDArray[np.float32], _: Sequence[int]) -> NDArray[np.float32]:
+            # One batch, unlike scoring: nothing depends on the last bits here.
+            action: NDArray[np.float32] = policy.distribution(torch.from_numpy(observation)).action.numpy()
+            return action
+
+        episodes = play(self._cell.make(), act, VALIDATION.seeds, parallel_episodes=VALIDATION.episodes)
         frames = self.model.num_timesteps
         record: Record = {"frames": frames}
         for name in MEASURES:
@@ -117,7 +115,7 @@ class ModelSelection(BaseCallback):
         """The best policy kept, and its record."""
         curve = self.curve()
         late = [record for record in curve if record["frames"] >= self._after] or curve[-1:]
-        record = max(late, key=lambda row: worth(row, self._enough_success, self._care))
+        record = max(late, key=lambda row: selection_key(row, self._care))
         return self.policy_at(record), record
 
     def policy_at(self, record: Record) -> GraphPolicy:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xmarl_envs import Task, VectorEnv
 from xmarl_envs.sb3_vec_env import OneObjectVecEnv
 
-from xmarl_baselines.shaping import Shaping, training_reward
+from xmarl_baselines.training.shaping import Shaping, training_reward
 
 
 class TeamVecEnv(OneObjectVecEnv):

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,10 +15,11 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from xmarl_baselines.own_process import train_in_own_process
-from xmarl_baselines.recipes import recipe_for
+from xmarl_baselines.training.families import FAMILIES, Family
+from xmarl_baselines.training.own_process import train_in_own_process
+from xmarl_baselines.training.recipes import recipe_for
 from xmarl_baselines.reference import EPISODES, reference_runs, run_named, schedule_runs
-from xmarl_baselines.trainer import Report, Run, train
+from xmarl_baselines.training.trainer import Report, Run, train
 from xmarl_bench.commands.options import Address, Backend
 from xmarl_bench.errors import InputError
 from xmarl_bench.evaluation import Performance, evaluate_policy
@@ -30,8 +32,9 @@ from xmarl_bench.workers import Workers
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
-# Options of a run of one's own, and of many runs: beside what fixes them they would do nothing.
+# Options of a run of one's own, and of many runs.
 OF_A_RUN = (
+    "family",
     "agents",
     "attention_entropy",
     "attention_start",
@@ -61,6 +64,9 @@ def command(
     ] = None,
     backend: Backend = "loky",
     address: Address = None,
+    family: Annotated[
+        Family, typer.Option(help="network: `paper`, or the same with a residual connection")
+    ] = FAMILIES[0],
     agents: Annotated[int, typer.Option(help="team size N")] = 3,
     attention_entropy: Annotated[
         float, typer.Option(min=0, help="lambda of the attention-entropy term")
@@ -74,7 +80,7 @@ def command(
         float, typer.Option(min=0, help="multiplies the penalties of touching and of being near")
     ] = 1.0,
     frames: Annotated[
-        int | None, typer.Option(min=1, help="team-steps; a warm start is shortened in proportion")
+        int | None, typer.Option(min=1, help="team-steps; the recipe's")
     ] = None,
     out: Annotated[Path, typer.Option(help="folder for runs; this one gets its own in it")] = Path("runs"),
     start_from: Annotated[
@@ -100,14 +106,14 @@ def command(
         return
     assert task is not None
     Cell(task, agents)  # refuses a team that the task does not take
-    recipe = recipe_for(task)
+    recipe = recipe_for(task, family=family)
     if start_from is not None:
         _check_start(start_from, task, agents)
         recipe = recipe.fine_tuning()
     if frames is not None:
-        recipe = recipe.shortened(frames)
+        recipe = replace(recipe, frames=frames)
     if attention_start is not None:
-        recipe = recipe.with_attention_start(attention_start)
+        recipe = replace(recipe, attention_start=attention_start)
     start = None if start_from is None else start_from.resolve().name
     run = Run(recipe, agents, attention_entropy, seed, caution, start)
     _train(run, out, resume=resume, start_from=start_from, episodes=episodes)
@@ -184,11 +190,13 @@ def train_and_save(
         task=run.recipe.task,
         n_agents=run.n_agents,
         attention_entropy=run.attention_entropy,
+        family=run.recipe.family,
         training_seed=run.seed,
+        initial_seed=run.seed if run.start_from is None else None,
         training={
             **run.settings(),
-            "frames": run.recipe.played,
-            "seconds": round(trained.seconds, 1),
+            "frames": run.recipe.frames,
+            "cpu_seconds": round(trained.seconds, 1),
             "validation": trained.validation,
             "curve": trained.curve,
             "command": _command(run),
@@ -201,14 +209,13 @@ def _command(run: Run) -> str:
     """What trains this policy again."""
     if (reference_runs() | schedule_runs()).get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"
-    usual = recipe_for(run.recipe.task)
+    usual, start = recipe_for(run.recipe.task), run.recipe.attention_start
     if run.start_from is not None:
         usual = usual.fine_tuning()
-    start = run.recipe.starts_attention
     return (
-        f"xmarl-train --task {run.recipe.task} --agents {run.n_agents} "
-        f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.played}"
-        + ("" if start == usual.starts_attention else f" --attention-start {start:g}")
+        f"xmarl-train --task {run.recipe.task} --family {run.recipe.family} --agents {run.n_agents} "
+        f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.frames}"
+        + ("" if start == usual.attention_start else f" --attention-start {start:g}")
         + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
         + ("" if run.start_from is None else f" --start-from runs/{run.start_from}")
     )
@@ -224,14 +231,12 @@ def _progress(run: Run) -> Iterator[Report]:
     )  # fmt: skip
     last_line = time.monotonic()
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task(run.name, total=run.recipe.played, seen="")
+        bar = progress.add_task(run.name, total=run.recipe.frames, seen="")
 
         def report(frames: int, log: dict[str, float]) -> None:
             nonlocal last_line
-            seen = f"{frames / 1e6:.1f} of {run.recipe.played / 1e6:.1f} M frames"
-            if "imitation_error" in log:
-                seen = f"imitation, error {log['imitation_error']:.3f}"
-            elif "rollout/is_success" in log:
+            seen = f"{frames / 1e6:.1f} of {run.recipe.frames / 1e6:.1f} M frames"
+            if "rollout/is_success" in log:
                 seen += f", success {log['rollout/is_success']:.2f} while exploring"
             progress.update(bar, completed=frames, seen=seen)
             if not console.is_terminal and time.monotonic() - last_line > 60:

@@ -2,7 +2,7 @@
 
     RUN/settings.json        what is trained; a run is resumed only with the same settings
     RUN/checkpoint.zip       SB3's zip of weights and optimiser
-    RUN/progress.json        frames and seconds so far
+    RUN/progress.json        frames and CPU seconds so far
     RUN/curve.json           how the policy did on the validation episodes along training
     RUN/validated/           its weights at these moments, of which the best become the bundle
     RUN/tensorboard/         SB3's log
@@ -22,23 +22,19 @@ from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
 from xmarl_envs import make_task
 
-from xmarl_baselines.distance_attention import attend_by_distance
-from xmarl_baselines.imitation import Imitation, imitate
-from xmarl_baselines.mappo import MAPPO
-from xmarl_baselines.model_selection import ModelSelection, Record
-from xmarl_baselines.place_code import code_places
-from xmarl_baselines.recipes import Recipe
-from xmarl_baselines.team_vec_env import TeamVecEnv
+from xmarl_baselines.training.mappo import MAPPO
+from xmarl_baselines.training.model_selection import ModelSelection, Record
+from xmarl_baselines.training.recipes import Recipe
+from xmarl_baselines.training.team_vec_env import TeamVecEnv
 from xmarl_bench.errors import InputError
 from xmarl_bench.files import write_json
-from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.policy import GraphPolicy, build_policy
+from xmarl_bench.reproducible import seeded
 from xmarl_bench.request import Cell
 
-VALIDATIONS = 25  # per run of MAPPO
-IMITATION_VALIDATIONS = 10  # per run that is imitation alone
+VALIDATIONS = 10  # per run
 Report = Callable[[int, dict[str, float]], None]  # frames so far, SB3's log of the last iteration
 
 
@@ -57,18 +53,15 @@ class Run:
     @property
     def name(self) -> str:
         short = self.recipe.task.removeprefix("blind_").rsplit("_", 1)[0]
-        if self.recipe.variant:
-            short += f"-{self.recipe.variant}"
+        kind = self.recipe.variant or self.recipe.family
         caution = "" if self.caution == 1.0 else f"-caution{self.caution:g}"
-        return f"{short}-n{self.n_agents}-lambda{self.attention_entropy:g}{caution}-seed{self.seed}"
+        return f"{short}-n{self.n_agents}-{kind}-lambda{self.attention_entropy:g}{caution}-seed{self.seed}"
 
     @property
     def regularised_from(self) -> float:
         """Frames after which lambda is whole."""
-        how = self.recipe if self.recipe.frames else self.recipe.imitation
-        assert how is not None
-        ramp = how.attention_start + how.attention_ramp
-        return ramp * self.recipe.played if self.attention_entropy else 0.0
+        share = self.recipe.attention_start + self.recipe.attention_ramp
+        return share * self.recipe.frames if self.attention_entropy else 0.0
 
     def settings(self) -> dict[str, Any]:
         """As plain JSON, for settings.json and the policy's card."""
@@ -126,27 +119,9 @@ def train(
         cell,
         every=run.recipe.frames // VALIDATIONS,
         after=run.regularised_from,
-        enough_success=run.recipe.enough_success,
         care=run.recipe.care,
-        warm_start=run.recipe.imitation is not None or start_from is not None,
     )
     keeper = _Keeper(folder, checkpoint_every, seconds, report)
-    alone = not run.recipe.frames
-    if run.recipe.imitation is not None and done is None and (alone or start_from is None):
-        after_round = None if report is None else lambda _, log: report(0, log)
-        if alone:
-            after_round = _looks_along(run.recipe.imitation, model, folder, selection, report)
-        imitate(
-            model.policy.actor,
-            make_task(run.recipe.task, run.n_agents),
-            run.recipe.imitation,
-            seed=run.seed,
-            attention_entropy=run.attention_entropy,
-            report=after_round,
-        )
-        keeper.init_callback(model)
-        keeper.save()
-        seconds = keeper.seconds
     if frames < run.recipe.frames:
         model.learn(
             run.recipe.frames - frames,
@@ -161,27 +136,6 @@ def train(
         selection.init_callback(model)
     policy, validation = selection.best()
     return Trained(policy, seconds, validation, selection.curve())
-
-
-def _looks_along(
-    how: Imitation, model: MAPPO, folder: Path, selection: ModelSelection, report: Report | None
-) -> Report:
-    """What `imitate` reports its rounds to where it is the whole of training: log, validate now and then."""
-    model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
-    selection.init_callback(model)
-    every = max(1, how.rounds // IMITATION_VALIDATIONS)
-
-    def after_round(done: int, log: dict[str, float]) -> None:
-        model.num_timesteps = done * how.frames_per_round
-        if report is not None:
-            report(model.num_timesteps, log)
-        for name, value in log.items():
-            model.logger.record(f"train/{name}", value)
-        if done % every == 0 or done == how.rounds:
-            selection.validate()
-        model.logger.dump(model.num_timesteps)
-
-    return after_round
 
 
 def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
@@ -207,17 +161,15 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
         attention_entropy=run.attention_entropy,
         attention_ramp=recipe.attention_ramp,
         attention_start=recipe.attention_start,
-        noise_penalty=recipe.noise_penalty,
-        critic_first=recipe.critic_first,
         policy_kwargs={"architecture": recipe.architecture, "critic": recipe.critic},
         tensorboard_log=None if tensorboard is None else str(tensorboard),
         device="cpu",
         seed=seed,
     )
-    if recipe.distance_attention:
-        attend_by_distance(model.policy.actor, recipe.distance_attention)
-    if recipe.place_code:
-        code_places(model.policy.actor, recipe.place_code)
+    # As `xmarl_bench.policy.initial_policy` makes them again from the card.
+    with seeded(run.seed):
+        initial = build_policy(model.policy.actor.architecture)
+    model.policy.actor.load_state_dict(initial.state_dict())
     return model
 
 
@@ -259,12 +211,12 @@ class _Keeper(BaseCallback):
     def __init__(self, folder: Path, every: int, seconds: float, report: Report | None) -> None:
         super().__init__()
         self._folder, self._every, self._report = folder, every, report
-        self._earlier, self._started = seconds, time.monotonic()
+        self._earlier, self._started = seconds, time.process_time()
         self._iterations = 0
 
     @property
     def seconds(self) -> float:
-        return self._earlier + time.monotonic() - self._started
+        return self._earlier + time.process_time() - self._started
 
     def _on_step(self) -> bool:
         return True

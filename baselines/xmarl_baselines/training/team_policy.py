@@ -16,10 +16,9 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 from torch.nn import functional as F
 
-from xmarl_baselines.fast_layers import speed_up
+from xmarl_baselines.training.fast_layers import speed_up
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
 
-LITTLE_NOISE = 0.1  # scale of the Normal under the tanh below which noise is not punished further
 SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 cannot tell them apart beyond
 
 
@@ -28,7 +27,6 @@ class Evaluation(NamedTuple):
 
     log_prob: Tensor  # (B, N)
     entropy: Tensor  # (), nats, of the TanhNormal, one sample per action
-    noise: Tensor  # (), nats, mean of how far log(scale) is above log(LITTLE_NOISE)
     attention_entropy: Tensor  # (), nats, mean over agents and batch
 
 
@@ -91,9 +89,8 @@ class TeamPolicy(ActorCriticPolicy):
         # Differential entropy of the TanhNormal: the Normal's plus the mean log-slope of tanh. It has
         # no lower bound: with a bonus of -0.06 on it a policy was seen to saturate its actions and no more.
         entropy = (normal.entropy() + _log_slope(normal.rsample())).sum(dim=-1).mean()
-        noise = (distribution.scale / LITTLE_NOISE).log().clamp_min(0.0).mean()
         attention = mean_attention_entropy(prepared.attention)
-        return Evaluation(log_prob(distribution, action), entropy, noise, attention)
+        return Evaluation(log_prob(distribution, action), entropy, attention)
 
     def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
         action: Tensor = self(observation, deterministic)[0]

@@ -1,0 +1,139 @@
+"""How the reference policies are trained: one recipe per task, every option stated once."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from xmarl_baselines.training.families import Family, architecture
+from xmarl_baselines.training.shaping import Shaping
+from xmarl_bench.errors import InputError
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """MAPPO's hyperparameters on one task, for one family of networks."""
+
+    task: str
+    frames: int  # team-steps
+    n_envs: int  # teams stepped together
+    n_steps: int  # per team and iteration: an iteration is n_envs * n_steps frames
+    n_epochs: int
+    batch_size: int  # team-steps per gradient step; the last one of an epoch may be smaller
+    learning_rate: float  # at the start; falls linearly to learning_rate * final_learning_rate
+    family: Family = "residual"
+    critic: tuple[int, ...] = (128, 128)
+    final_learning_rate: float = 0.1  # fraction
+    gamma: float = 0.99
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    normalize_advantage: bool = True
+    ent_coef: float = 1e-4
+    max_grad_norm: float = 1.0
+    max_cycles: int | None = None  # of training episodes; None: the task's own
+    attention_start: float = 0.3  # fraction of training without the attention-entropy term ...
+    attention_ramp: float = 0.2  # ... whose weight then grows from 0 over this fraction
+    shaping: Shaping = field(default_factory=Shaping)
+    caution_growth: float = 1.0  # agent and proximity penalties at the end, relative to the start
+    care: float = 1.0  # model selection: what the collision-free rate counts, relative to success
+    variant: str = ""  # goes into the names of runs in place of the family's
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.batch_size <= self.n_envs * self.n_steps:
+            raise InputError(
+                f"batch_size must be from 1 to the {self.n_envs * self.n_steps} frames of an iteration, "
+                f"got {self.batch_size}: choose a number in that range."
+            )
+        if self.attention_start + self.attention_ramp > 1.0:
+            raise InputError(
+                f"attention-start {self.attention_start:g} is too late: the term takes "
+                f"{self.attention_ramp:g} of training to grow to its weight; start at "
+                f"{1.0 - self.attention_ramp:g} or before."
+            )
+
+    @property
+    def architecture(self) -> dict[str, Any]:
+        """Of xmarl_bench.Architecture, without obs_dim."""
+        return architecture(self.task, self.family)
+
+    def learning_rate_at(self, remaining: float) -> float:
+        """SB3's schedule: `remaining` falls from 1 to 0, and below where the last iteration is cut short."""
+        remaining = max(0.0, remaining)
+        return self.learning_rate * (self.final_learning_rate + (1.0 - self.final_learning_rate) * remaining)
+
+    def fine_tuning(self) -> Recipe:
+        """The recipe of a run that starts from a finished one: a third of its frames and learning rate,
+        lambda from the start with a longer ramp, and the caution that the finished run ended with."""
+        iteration = self.n_envs * self.n_steps
+        return replace(
+            self,
+            frames=max(iteration, self.frames // 3 // iteration * iteration),
+            learning_rate=self.learning_rate / 3,
+            attention_start=0.0,
+            attention_ramp=0.5,
+            shaping=self.shaping.with_caution(self.caution_growth),
+            caution_growth=1.0,
+        )
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> Recipe:
+        """The recipe that a card holds."""
+        nested = {"shaping": Shaping(**record["shaping"]), "critic": tuple(record["critic"])}
+        return cls(**{**record, **nested})
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+# Found on this physics, within minutes on one core; the paper's own are in paper_schedule.py. Small penalties
+# from the first frame, growing over training: large ones freeze the team, late ones leave it flying straight.
+RECIPES: dict[str, Recipe] = {
+    "blind_navigation_v0": Recipe(
+        task="blind_navigation_v0",
+        frames=7_200_000,
+        n_envs=240,
+        n_steps=150,
+        n_epochs=4,
+        batch_size=1800,
+        learning_rate=1e-3,
+        shaping=Shaping(
+            individual_progress=True,
+            arrival_bonus=1.0,
+            agent_penalty=0.3,
+            proximity_penalty=0.05,
+            proximity_range=0.2,
+        ),
+        caution_growth=3.0,
+    ),
+    "blind_passage_v0": Recipe(
+        task="blind_passage_v0",
+        frames=9_600_000,
+        n_envs=200,
+        n_steps=150,
+        n_epochs=4,
+        batch_size=2000,
+        learning_rate=1e-3,
+        shaping=Shaping(scale=0.05, agent_penalty=5.0, wall_penalty=1.0, through_gap=True),
+        caution_growth=2.0,
+    ),
+    "blind_discovery_v0": Recipe(
+        task="blind_discovery_v0",
+        frames=15_360_000,
+        n_envs=256,
+        n_steps=200,
+        n_epochs=4,
+        batch_size=5120,
+        learning_rate=7e-4,
+        gamma=0.995,
+        ent_coef=2e-3,
+        shaping=Shaping(landmark_progress=1.0),
+        care=0.0,
+    ),
+}
+
+
+def recipe_for(task: str, **changes: Any) -> Recipe:
+    """The recipe of a task, with fields changed. Raises InputError for an unknown task."""
+    if task not in RECIPES:
+        raise InputError(f"no training recipe for task {task!r}: choose one of {', '.join(RECIPES)}.")
+    return replace(RECIPES[task], **changes)

@@ -21,15 +21,15 @@ from xmarl_baselines.explainers.attention import attention
 from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
 from xmarl_envs import TASKS, make_task
 
-from xmarl_bench.controls import ones_mask, random_mask, self_mask
-from xmarl_bench.default_policies import default_policies
-from xmarl_bench.explainer import Explain
+from xmarl_bench.explain.controls import ones_mask, random_mask, self_mask
+from xmarl_bench.explain.explainer import Explain
+from xmarl_bench.plugins.registry import find_policies
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.policy.bundle import load_card
-from xmarl_bench.registry import find_policies
+from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.reproducible import episode_seeds, one_thread
-from xmarl_bench.rollout import roll_out
-from xmarl_bench.states import States
+from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.score.states import States
 
 HERE = Path(__file__).parent
 EPISODES = 10

@@ -14,10 +14,10 @@ from PIL import Image
 from xmarl_envs import TASKS, make_task
 from xmarl_envs.render import Renderer
 
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.plugins.registry import find_explainer, find_policy
 from xmarl_bench.policy import load_policy
-from xmarl_bench.recording import HEURISTIC, Recording, record
-from xmarl_bench.registry import find_explainer, find_policy
+from xmarl_bench.render.recording import HEURISTIC, Recording, record
 
 HERE = Path(__file__).parent
 PANEL, MARGIN = (480, 528), 8  # pixels

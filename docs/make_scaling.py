@@ -11,8 +11,8 @@ from collections import defaultdict
 from pathlib import Path
 from statistics import mean, median
 
-from xmarl_bench.entry import Entry
-from xmarl_bench.entry_file import read_entries
+from xmarl_bench.entry.file import read_entries
+from xmarl_bench.entry.schema import Entry
 
 HERE = Path(__file__).parent
 ENTRIES = HERE.parent / "leaderboard" / "entries"

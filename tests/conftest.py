@@ -13,7 +13,7 @@ import pytest
 from xmarl_envs import TASKS
 
 from tests.policies import small_policy
-from xmarl_bench import cli
+from xmarl_bench.cli import main as cli
 from xmarl_bench.policy import save_policy
 
 # Ray reads these once a process, whoever is first to touch it there. A head takes work only from those who

@@ -7,8 +7,8 @@ from dataclasses import fields
 from pathlib import Path
 
 from tests.conftest import RunCli
-from xmarl_bench.doors import DECLARATIONS
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.adapters import DECLARATIONS
+from xmarl_bench.explain.explainer import Explainer
 
 DOCS = Path(__file__).parent.parent / "docs"
 PAGE = (DOCS / "explainers.md").read_text(encoding="utf-8")

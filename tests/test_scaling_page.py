@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from xmarl_bench.cli import app
+from xmarl_bench.cli.main import app
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "scaling.md").read_text(encoding="utf-8")

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from xmarl_bench.board import build_board
-    from xmarl_bench.doors import as_explainer
-    from xmarl_bench.entry import Entry
-    from xmarl_bench.entry_file import read_entry, write_entry
+    from xmarl_bench.entry.file import read_entry, write_entry
+    from xmarl_bench.entry.schema import Entry
     from xmarl_bench.errors import InputError
-    from xmarl_bench.evaluation import Performance, evaluate
-    from xmarl_bench.explainer import Explainer
+    from xmarl_bench.explain.adapters import as_explainer
+    from xmarl_bench.explain.explainer import Explainer
+    from xmarl_bench.explain.pyg import PygExplain
     from xmarl_bench.policy import (
         Architecture,
         CompleteGraph,
@@ -29,37 +29,37 @@ if TYPE_CHECKING:
         load_policy,
         save_policy,
     )
-    from xmarl_bench.policy_module import PolicyModule
-    from xmarl_bench.pyg import PygExplain
-    from xmarl_bench.rollout import Episode, roll_out
-    from xmarl_bench.scoring import score
+    from xmarl_bench.policy.policy_module import PolicyModule
+    from xmarl_bench.rollout.episodes import Episode, roll_out
+    from xmarl_bench.rollout.evaluation import Performance, evaluate
+    from xmarl_bench.score.scoring import score
 
 _HOME = {
     "Architecture": "policy",
     "CompleteGraph": "policy",
-    "Entry": "entry",
-    "Episode": "rollout",
-    "Explainer": "explainer",
+    "Entry": "entry.schema",
+    "Episode": "rollout.episodes",
+    "Explainer": "explain.explainer",
     "FixedGraph": "policy",
     "GraphLayer": "policy",
     "GraphPolicy": "policy",
     "InputError": "errors",
     "LayeredArchitecture": "policy",
-    "Performance": "evaluation",
+    "Performance": "rollout.evaluation",
     "PolicyCard": "policy",
-    "PolicyModule": "policy_module",
-    "PygExplain": "pyg",
+    "PolicyModule": "policy.policy_module",
+    "PygExplain": "explain.pyg",
     "RadiusGraph": "policy",
-    "as_explainer": "doors",
+    "as_explainer": "explain.adapters",
     "build_board": "board",
     "build_policy": "policy",
-    "evaluate": "evaluation",
+    "evaluate": "rollout.evaluation",
     "load_policy": "policy",
-    "read_entry": "entry_file",
-    "roll_out": "rollout",
+    "read_entry": "entry.file",
+    "roll_out": "rollout.episodes",
     "save_policy": "policy",
-    "score": "scoring",
-    "write_entry": "entry_file",
+    "score": "score.scoring",
+    "write_entry": "entry.file",
 }
 
 __all__ = [

@@ -24,10 +24,10 @@ from xmarl_envs import TaskParallelEnv, make_task
 from xmarl_envs.sb3_vec_env import SuperSuitVecEnv
 
 from xmarl_baselines.reference import EPISODES
-from xmarl_bench.evaluation import evaluate_policy
-from xmarl_bench.files import write_json
 from xmarl_bench.policy import ActionDistribution, Policy
+from xmarl_bench.records.files import write_json
 from xmarl_bench.reproducible import one_thread
+from xmarl_bench.rollout.evaluation import evaluate_policy
 
 CONTROLS = Path(__file__).parent / "controls"
 COPIES = 32  # teams side by side

@@ -24,17 +24,17 @@ from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
 from torch import Tensor
 
 from xmarl_baselines.independent_ppo import CONTROLS
+from xmarl_baselines.reference import run_named
 from xmarl_baselines.training.mappo import MAPPO
 from xmarl_baselines.training.model_selection import plain_actor
-from xmarl_baselines.reference import run_named
 from xmarl_baselines.training.trainer import Run, build
-from xmarl_bench.evaluation import evaluate_policy
-from xmarl_bench.files import write_json
 from xmarl_bench.metrics import attention_entropy, prediction_change
 from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.records.files import write_json
 from xmarl_bench.reproducible import one_thread
-from xmarl_bench.request import Cell, Sampling
-from xmarl_bench.rollout import roll_out
+from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.rollout.evaluation import evaluate_policy
+from xmarl_bench.score.request import Cell, Sampling
 
 RECORDS = CONTROLS / "paper_lambda"
 STATES = Sampling(episodes=20)  # whose every timestep is looked at in the end: the first that scoring plays

@@ -20,15 +20,15 @@ from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.paper_lambda import RECORDS
 from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.reference import EPISODES
-from xmarl_bench.default_policies import default_policies, is_final, worth
-from xmarl_bench.evaluation import Performance, evaluate
-from xmarl_bench.files import write_atomically, write_json
+from xmarl_bench.cli.tables import Row, markdown, performance_rows
+from xmarl_bench.papers.kailas2025.paper import MAIN as PAPER
+from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
-from xmarl_bench.report import Row, markdown, performance_rows
-from xmarl_bench.request import Cell, Sampling
-from xmarl_bench.study.paper import MAIN as PAPER
-from xmarl_bench.workers import Workers
+from xmarl_bench.policy.default_policies import default_policies, is_final, worth
+from xmarl_bench.records.files import write_atomically, write_json
+from xmarl_bench.rollout.evaluation import Performance, evaluate
+from xmarl_bench.score.request import Cell, Sampling
 
 ROOT = Path(__file__).parent.parent.parent
 READMES = (ROOT / "README.md", ROOT / "baselines" / "README.md")

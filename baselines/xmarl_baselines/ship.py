@@ -14,11 +14,11 @@ from typing import Annotated, Any
 import typer
 from safetensors.torch import load_file
 
-from xmarl_baselines.training.model_selection import weights_at
 from xmarl_baselines.policies import HERE
 from xmarl_baselines.reference import EPISODES, reference_runs
-from xmarl_bench.evaluation import evaluate_policy
+from xmarl_baselines.training.model_selection import weights_at
 from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
+from xmarl_bench.rollout.evaluation import evaluate_policy
 
 ALONG_TRAINING = (20, 50, 80, 100)  # percent (Kailas et al., ICML 2025, appendix on training iterations)
 

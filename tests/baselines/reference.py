@@ -13,7 +13,7 @@ from xmarl_baselines.policies import shipped_policies
 from xmarl_envs import make_task
 
 from xmarl_bench.policy import GraphPolicy, Policy, complete_graph, load_policy
-from xmarl_bench.rollout import roll_out
+from xmarl_bench.rollout.episodes import roll_out
 
 TRAINED = ["navigation-n3-lambda0-seed0", "passage-n3-lambda0-seed0", "discovery-n3-lambda0-seed0"]
 

@@ -23,9 +23,9 @@ from tests.baselines.reference import by_pyg
 from tests.deep_policies import Opened, one_layer, transformers, two_layers
 from tests.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
-from xmarl_bench.explainer import Explainer, run_explainer
+from xmarl_bench.explain.explainer import Explainer, run_explainer
+from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.policy import ModulePolicy, Policy
-from xmarl_bench.pyg import PygExplain
 
 SHIPPED: list[Explainer] = [
     plugin.load()
@@ -203,7 +203,7 @@ from dataclasses import replace
 from importlib.metadata import entry_points
 from xmarl_baselines.explainers import gnn_explainer
 from tests.policies import random_observations, small_policy
-from xmarl_bench.explainer import run_explainer
+from xmarl_bench.explain.explainer import run_explainer
 gnn_explainer.SETTINGS = replace(gnn_explainer.SETTINGS, epochs=3)  # as much memory as 100, sooner
 for name in sys.argv[1:]:
     if os.fork():  # a peak never falls: each has a process of its own

@@ -18,11 +18,11 @@ from xmarl_baselines.explainers.shapley import exact_values, sampled_values, sha
 from tests.baselines.reference import TRAINED, trained
 from tests.deep_policies import one_layer, two_layers
 from tests.policies import random_observations, small_policy
-from xmarl_bench.effect import effect_direction, share_of_largest, signed_to_unit
-from xmarl_bench.explainer import run_explainer
-from xmarl_bench.oracle import change_table
+from xmarl_bench.explain.effect import effect_direction, share_of_largest, signed_to_unit
+from xmarl_bench.explain.explainer import run_explainer
+from xmarl_bench.explain.oracle import change_table
+from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.policy import Policy
-from xmarl_bench.pyg import PygExplain
 
 N = 4
 

@@ -11,16 +11,16 @@ import pytest
 import torch
 from xmarl_baselines import paper_lambda
 from xmarl_baselines.distance_attention import attend_by_distance
+from xmarl_baselines.reference import PAPER_LAMBDAS, reference_runs, run_named, schedule_runs
+from xmarl_baselines.report import lambda_rows
 from xmarl_baselines.training.mappo import MAPPO
 from xmarl_baselines.training.model_selection import plain_actor
 from xmarl_baselines.training.recipes import PAPER_SCHEDULE
-from xmarl_baselines.reference import PAPER_LAMBDAS, reference_runs, run_named, schedule_runs
-from xmarl_baselines.report import lambda_rows
 from xmarl_baselines.training.shaping import Shaping
 from xmarl_baselines.training.trainer import Run, build
 from xmarl_envs import TASKS
 
-from xmarl_bench.request import Sampling
+from xmarl_bench.score.request import Sampling
 
 # Kailas et al. (ICML 2025), appendix: learning rate, gamma, lambda of GAE, clip epsilon, normalised, epochs,
 # gradient norm, minibatch, iterations, frames per batch; and the weight of the attention-entropy term.

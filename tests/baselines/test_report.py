@@ -10,8 +10,8 @@ from xmarl_baselines import independent_ppo, ship
 from xmarl_baselines.policies import HERE
 from xmarl_baselines.report import READMES, cell_rows, draw, filled, final, shipped_cards
 
+from xmarl_bench.papers.kailas2025.paper import MAIN
 from xmarl_bench.policy import PolicyCard, load_policy
-from xmarl_bench.study.paper import MAIN
 
 
 @pytest.mark.parametrize("readme", READMES, ids=lambda path: path.parent.name)

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from xmarl_envs import TASKS
 
-from xmarl_bench.entry_file import read_entry, write_entry
-from xmarl_bench.evaluation import Performance, evaluate
+from xmarl_bench.entry.file import read_entry, write_entry
+from xmarl_bench.plugins.registry import find_policies
 from xmarl_bench.policy import load_policy
-from xmarl_bench.registry import find_policies
-from xmarl_bench.request import Cell, Sampling
-from xmarl_bench.scoring import score
+from xmarl_bench.rollout.evaluation import Performance, evaluate
+from xmarl_bench.score.request import Cell, Sampling
+from xmarl_bench.score.scoring import score
 
 
 def test_every_shipped_policy_scores(tmp_path: Path) -> None:

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 from xmarl_baselines.policies import shipped_policies
-from xmarl_baselines.training.recipes import RECIPES, recipe_for
 from xmarl_baselines.reference import SEEDS, SIZES, reference_runs, run_named
 from xmarl_baselines.training.command import _command, main, train_missing
+from xmarl_baselines.training.recipes import RECIPES, recipe_for
 from xmarl_baselines.training.trainer import Run
 
 from tests.baselines.test_training import short_validation, small
 from xmarl_bench.errors import InputError
+from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import load_policy
 from xmarl_bench.policy.bundle import load_card
-from xmarl_bench.workers import Workers
 
 __all__ = ["short_validation"]  # a fixture, for every test here
 
@@ -145,7 +145,9 @@ def test_reproduce_all_trains_what_is_missing_and_says_what_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     names = ["discovery-n3-lambda0-seed0", "passage-n3-lambda0-seed0"]
-    monkeypatch.setattr("xmarl_baselines.training.command.reference_runs", lambda: dict.fromkeys(["a", *names]))
+    monkeypatch.setattr(
+        "xmarl_baselines.training.command.reference_runs", lambda: dict.fromkeys(["a", *names])
+    )
     for name in names:  # one is finished, one holds another run
         (tmp_path / name / "policy").mkdir(parents=True)
     (tmp_path / names[0] / "policy" / "policy.json").write_text("{}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from xmarl_bench import registry
+from xmarl_bench.plugins import registry
 
 INSTALLED: dict[str, Path] = {}
 

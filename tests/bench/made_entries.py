@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from tests.policies import small_policy
-from xmarl_bench.controls import CONTROLS, INVERTED
-from xmarl_bench.entry import (
+from xmarl_bench.entry.protocol import DEFINITIONS
+from xmarl_bench.entry.schema import (
     BehaviourRow,
     BudgetRow,
     CellResult,
@@ -25,7 +25,7 @@ from xmarl_bench.entry import (
     Summary,
     make_entry,
 )  # fmt: skip
-from xmarl_bench.protocol import DEFINITIONS
+from xmarl_bench.explain.controls import CONTROLS, INVERTED
 from xmarl_bench.reproducible import derived_seed, episode_seeds
 
 SHARES = (*ExplanationRow.model_fields, *BehaviourRow.model_fields, "seed_stability", "weight_randomisation",

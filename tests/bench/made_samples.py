@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from xmarl_bench.study.claims import ORIENTATION, Cell, Term
-from xmarl_bench.study.samples import Floats, Place, Run, Samples, Scored
+from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Cell, Term
+from xmarl_bench.papers.kailas2025.samples import Floats, Place, Run, Samples, Scored
 
 SEEDS = (0, 1, 2)
 Level = Callable[[Cell, str, bool, str], float]  # cell, explainer, regularised, metric -> mean

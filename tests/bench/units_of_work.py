@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from xmarl_bench.errors import InputError
 
 if TYPE_CHECKING:  # torch takes a worker seconds to import, and few of these need it
-    from xmarl_bench.measure import Unit
+    from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.policy import Policy
-    from xmarl_bench.rollout import Episode, Rollout
-    from xmarl_bench.sweep.carried import Carried
-    from xmarl_bench.workers import Workers
+    from xmarl_bench.rollout.episodes import Episode, Rollout
+    from xmarl_bench.score.carried import Carried
+    from xmarl_bench.score.measure import Unit
 
 
 def square(number: int) -> int:
@@ -110,7 +110,7 @@ def some_rollouts() -> list[Rollout]:
     from xmarl_envs import TASKS
 
     from tests.policies import small_policy
-    from xmarl_bench.rollout import Rollout
+    from xmarl_bench.rollout.episodes import Rollout
 
     task = "blind_navigation_v0"
     policy = small_policy(len(TASKS[task].observation_names))
@@ -140,11 +140,11 @@ def memory(units: tuple[Unit, ...]) -> int:
 
 def entries(bundle: Path, workers: Workers) -> list[str]:
     """What scoring makes, without times and machine: by attention, and by one that draws random numbers."""
-    from xmarl_bench.entry import Entry
+    from xmarl_bench.entry.schema import Entry
+    from xmarl_bench.plugins.registry import find_explainer
     from xmarl_bench.policy import load_policy
-    from xmarl_bench.registry import find_explainer
-    from xmarl_bench.request import Cell, Request, Sampling
-    from xmarl_bench.scoring import score_requests
+    from xmarl_bench.score.request import Cell, Request, Sampling
+    from xmarl_bench.score.scoring import score_requests
 
     policy, card = load_policy(bundle)
     sampling = Sampling(episodes=2, timesteps=1, max_cycles=4)

@@ -21,9 +21,9 @@ import psutil
 import pytest
 import scipy.stats  # noqa: F401
 
-from xmarl_bench import cli
-from xmarl_bench.commands import board, score  # noqa: F401
-from xmarl_bench.scoring import score_requests  # noqa: F401
+from xmarl_bench.cli import board, score  # noqa: F401
+from xmarl_bench.cli import main as cli
+from xmarl_bench.score.scoring import score_requests  # noqa: F401
 
 
 class Request(TypedDict, total=False):

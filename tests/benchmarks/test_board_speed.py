@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from tests.bench.board.page.browser import Browse, browse, chromium
 from tests.bench.made_entries import made_board
-from tests.page.browser import Browse, browse, chromium
 from xmarl_bench.board import build_board
-from xmarl_bench.entry_file import write_entry
+from xmarl_bench.entry.file import write_entry
 
 __all__ = ["browse", "chromium"]
 BUILD_SECONDS, SORT_SECONDS, PAGE_BYTES = 60.0, 1.0, 3_000_000

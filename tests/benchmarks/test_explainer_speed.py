@@ -24,7 +24,7 @@ from xmarl_baselines.explainers.graphmask import graphmask
 
 from tests.baselines.reference import by_pyg, trained
 from tests.benchmarks.conftest import Report
-from xmarl_bench.explainer import Explainer, run_explainer
+from xmarl_bench.explain.explainer import Explainer, run_explainer
 
 N_STEPS, GRAPHS, ROUNDS = 1024, 3, 5
 POLICIES = {"discovery": "discovery-n3-lambda0-seed0", "navigation": "navigation-paper-n3-lambda0-seed0"}

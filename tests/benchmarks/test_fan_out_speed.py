@@ -21,15 +21,15 @@ from xmarl_envs import make_task
 
 from tests.bench.units_of_work import memory, twenty_kilobytes
 from tests.benchmarks.conftest import Report
-from xmarl_bench.fan_out import fan_out
-from xmarl_bench.measure import Unit
+from xmarl_bench.parallel.fan_out import fan_out
+from xmarl_bench.parallel.workers import Workers
+from xmarl_bench.plugins.registry import find_explainer, find_policies
 from xmarl_bench.policy import load_policy
-from xmarl_bench.registry import find_explainer, find_policies
-from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.rollout import roll_out
-from xmarl_bench.scoring import Failed, score_requests
-from xmarl_bench.sweep.store import Store
-from xmarl_bench.workers import Workers
+from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.score.measure import Unit
+from xmarl_bench.score.request import Cell, Request, Sampling
+from xmarl_bench.score.scoring import Failed, score_requests
+from xmarl_bench.score.store import Store
 
 TITLE = "fan-out"
 CELLS, OVERHEAD = 5000, 0.020  # seconds per cell

@@ -17,10 +17,10 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from xmarl_baselines.explainers.gnn_explainer import gnn_explainer
 from xmarl_envs import make_task
 
-from xmarl_bench.oracle import oracle_mask
+from xmarl_bench.explain.oracle import oracle_mask
+from xmarl_bench.plugins.registry import find_policies
 from xmarl_bench.policy import load_policy
-from xmarl_bench.registry import find_policies
-from xmarl_bench.rollout import roll_out
+from xmarl_bench.rollout.episodes import roll_out
 
 TIMESTEPS = 1024
 

@@ -15,9 +15,9 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.bench.submission.edits import with_manifest
-from xmarl_bench.entry_file import read_entry
+from xmarl_bench.entry.file import read_entry
+from xmarl_bench.plugins.registry import find_policy
 from xmarl_bench.policy.untrusted import WEIGHTS
-from xmarl_bench.registry import find_policy
 from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle
 
 SECONDS = 2.0
@@ -48,7 +48,7 @@ def test_validate(benchmark: BenchmarkFixture, made: dict[str, tuple[Path, int]]
 
     def validate() -> None:
         before = _cpu()
-        command = [sys.executable, "-m", "xmarl_bench.cli", "validate", str(path)]
+        command = [sys.executable, "-m", "xmarl_bench.cli.main", "validate", str(path)]
         assert subprocess.run(command, capture_output=True).returncode == code
         seconds.append(_cpu() - before)
 

@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from xmarl_bench.animation import write_animation
 from xmarl_bench.board.build import ANIMATIONS, animation_name
-from xmarl_bench.entry import Entry
-from xmarl_bench.entry_file import read_entry
+from xmarl_bench.entry.file import read_entry
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.plugins.registry import find_explainer, find_policy
 from xmarl_bench.policy import load_policy
-from xmarl_bench.recording import Recording, record
-from xmarl_bench.registry import find_explainer, find_policy
-from xmarl_bench.request import Cell
+from xmarl_bench.render.animation import write_animation
+from xmarl_bench.render.recording import Recording, record
+from xmarl_bench.score.request import Cell
 
 Played = dict[tuple[object, ...], Recording]
 

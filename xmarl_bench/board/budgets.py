@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from xmarl_bench.board.ranking import Floats, resampled
-from xmarl_bench.entry import CellResult
+from xmarl_bench.entry.schema import CellResult
 from xmarl_bench.reproducible import derived_seed
 
 CURVES = ("explained", "random", "oracle")

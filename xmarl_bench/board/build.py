@@ -23,8 +23,8 @@ from xmarl_bench.board.columns import COLUMNS
 from xmarl_bench.board.details import Details, details_of
 from xmarl_bench.board.page import PAGES, page_files
 from xmarl_bench.board.tables import board_of
-from xmarl_bench.entry import Entry
-from xmarl_bench.entry_file import read_entry
+from xmarl_bench.entry.file import read_entry
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 
 ANIMATIONS = "animations"

@@ -6,7 +6,7 @@ import shlex
 
 from xmarl_envs import TASKS
 
-from xmarl_bench.entry import Entry
+from xmarl_bench.entry.schema import Entry
 
 
 def command_of(entry: Entry, out: str = "again") -> str:

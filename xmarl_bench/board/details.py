@@ -7,8 +7,8 @@ from typing import Any
 from xmarl_bench.board.budgets import curves_of
 from xmarl_bench.board.columns import COLUMNS
 from xmarl_bench.board.command import command_of
-from xmarl_bench.controls import INVERTED
-from xmarl_bench.entry import BehaviourRow, CellResult, Entry, EpisodeRow, ExplanationRow
+from xmarl_bench.entry.schema import BehaviourRow, CellResult, Entry, EpisodeRow, ExplanationRow
+from xmarl_bench.explain.controls import INVERTED
 
 DIGITS = 4  # significant; `leaderboard.json` has them all
 # Metrics that the charts show by episode: of the explanation, not of the policy.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from xmarl_bench.board.columns import GATE
-from xmarl_bench.entry import Metrics
+from xmarl_bench.entry.schema import Metrics
 
 
 class Shut(NamedTuple):

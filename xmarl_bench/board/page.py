@@ -21,7 +21,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from xmarl_bench.board.columns import COLUMNS, PAPER, POLICY_METRICS
 from xmarl_bench.board.details import EPISODE_METRICS, Details, numbers, short, shown_value
-from xmarl_bench.files import canonical_json
+from xmarl_bench.records.files import canonical_json
 
 HERE = Path(__file__).parent
 PAGES = "pages"

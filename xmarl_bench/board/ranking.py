@@ -2,8 +2,9 @@
 
 All competitors of a resample are given the same episodes, so every difference between two of them is paired.
 Where several policies stand behind a mean, policies are drawn first and then as many episodes of each drawn
-one as it has, as in `xmarl_bench.statistics.hierarchical_bootstrap`; the tie groups are by the rule of its
-`tie_groups`. Sums run in one order on every machine (no BLAS), so that a board is the same bytes everywhere.
+one as it has, as in `xmarl_bench.metrics.statistics.hierarchical_bootstrap`; the tie groups are by the
+rule of its `tie_groups`. Sums run in one order on every machine (no BLAS), so that a board is the same bytes
+everywhere.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_bench.statistics import CHUNK, RESAMPLES, groups_by_head, percentiles
+from xmarl_bench.metrics.statistics import CHUNK, RESAMPLES, groups_by_head, percentiles
 
 DIGITS = 9  # after the point; what is beyond is rounding, as between attention and attention-rowmax
 

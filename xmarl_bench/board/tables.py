@@ -17,10 +17,10 @@ import numpy as np
 from xmarl_bench.board.columns import COLUMNS, GATE, ORDER, PAPER, POLICY_METRICS, UNSHOWN
 from xmarl_bench.board.gate import shut_gate
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
-from xmarl_bench.controls import INVERTED
-from xmarl_bench.entry import CellResult, ControlMetrics, Entry, Metrics
-from xmarl_bench.files import canonical_json
-from xmarl_bench.protocol import PROTOCOL
+from xmarl_bench.entry.protocol import PROTOCOL
+from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
+from xmarl_bench.explain.controls import INVERTED
+from xmarl_bench.records.files import canonical_json
 from xmarl_bench.reproducible import derived_seed
 
 SCHEMA_VERSION = 3

@@ -20,7 +20,7 @@ from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_chec
 from xmarl_bench.checks.peak_memory import peak_memory
 from xmarl_bench.checks.traces import global_settings, random_states, traces_of
 from xmarl_bench.errors import InputError
-from xmarl_bench.explainer import (
+from xmarl_bench.explain.explainer import (
     Explainer,
     as_floats,
     finite,
@@ -29,12 +29,12 @@ from xmarl_bench.explainer import (
     run_explainer,
     seen,
 )
-from xmarl_bench.fan_out import in_order
-from xmarl_bench.fitting import fit_states, fitted
-from xmarl_bench.measure import spaced_timesteps
+from xmarl_bench.explain.fitting import fit_states, fitted
+from xmarl_bench.parallel.fan_out import in_order
+from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread, seeded
-from xmarl_bench.workers import Workers
+from xmarl_bench.score.measure import spaced_timesteps
 
 SEED: Final = 1
 ROUNDING: Final = 1e-4  # matrix products round by the size of their batch

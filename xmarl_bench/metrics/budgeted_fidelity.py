@@ -10,7 +10,7 @@ three are averaged over agents and timesteps before dividing (a ratio of means).
 under 1e-3 action units has nothing to rank and is left out; where no k is left the metric is NaN.
 
 FidDelta of a row follows from a table of changes (R, S, N), R = 2^M: entry [r, s, i] is how much agent i's
-action at timestep s changes when the senders in the bits of r are kept and no others (xmarl_bench.oracle).
+action at timestep s changes when the senders in the bits of r are kept and no others (explain/oracle.py).
 
 Where the policy's graph lacks edges (`edges`, (S, N, M), False), absent senders are never among the k: a
 receiver with P < k senders keeps all P, and subsets are those of its own senders.

@@ -18,8 +18,6 @@ from safetensors import SafetensorError
 from safetensors.numpy import load
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.field_types import Agents, Name, Sha256
-from xmarl_bench.files import write_atomically
 from xmarl_bench.policy.architecture import (
     AnyArchitecture,
     Architecture,
@@ -28,7 +26,9 @@ from xmarl_bench.policy.architecture import (
 )
 from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS, check_weights, read_member
-from xmarl_bench.strict_json import first_error, parse_json, shown
+from xmarl_bench.records.field_types import Agents, Name, Sha256
+from xmarl_bench.records.files import write_atomically
+from xmarl_bench.records.strict_json import first_error, parse_json, shown
 
 if TYPE_CHECKING:
     from xmarl_bench.policy.build import LayeredPolicy
@@ -46,10 +46,12 @@ class PolicyCard(BaseModel):
     task: str
     n_agents: Agents
     attention_entropy: float = Field(description="weight lambda of the attention-entropy term in training")
-    family: Name | None = Field(None, description="the networks and recipe it belongs to, e.g. `residual`")
+    family: Name | None = Field(
+        default=None, description="the networks and recipe it belongs to, e.g. `residual`"
+    )
     training_seed: int | None = None
     initial_seed: int | None = Field(
-        None, description="what torch was seeded with before its initial weights were drawn"
+        default=None, description="what torch was seeded with before its initial weights were drawn"
     )
     architecture: AnyArchitecture
     weights_sha256: Sha256

@@ -30,7 +30,7 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import Architecture, BundledArchitecture, LayeredArchitecture
 from xmarl_bench.policy.untrusted import read_file
-from xmarl_bench.strict_json import first_error, parse_json, shown
+from xmarl_bench.records.strict_json import first_error, parse_json, shown
 
 MAX_BYTES = 512 * 1024 * 1024  # of a checkpoint: critic, optimiser and all
 MAX_PICKLE = 4 * 1024 * 1024  # what says which tensors there are, without their numbers

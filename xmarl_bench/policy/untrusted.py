@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.strict_json import parse_json, shown
+from xmarl_bench.records.strict_json import parse_json, shown
 
 WEIGHTS, CARD = "policy.safetensors", "policy.json"
 MAX_BYTES = {WEIGHTS: 68 * 1024 * 1024, CARD: 1024 * 1024}

@@ -18,8 +18,8 @@ from typing import Final
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS
-from xmarl_bench.strict_json import MAX_BYTES as MAX_JSON
-from xmarl_bench.strict_json import shown
+from xmarl_bench.records.strict_json import MAX_BYTES as MAX_JSON
+from xmarl_bench.records.strict_json import shown
 
 MANIFEST: Final = "manifest.json"
 _NAME = r"[a-z0-9][a-z0-9._-]{0,99}"

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from xmarl_bench.entry import Entry, PolicyRecord, Verification
-from xmarl_bench.entry_file import parse_entry
+from xmarl_bench.entry.file import parse_entry
+from xmarl_bench.entry.schema import Entry, PolicyRecord, Verification
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.bundle import PolicyCard, Weights, build, parse_card, parse_weights
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
-from xmarl_bench.strict_json import MAX_BYTES, first_error, parse_json, shown
+from xmarl_bench.records.strict_json import MAX_BYTES, first_error, parse_json, shown
 from xmarl_bench.submission.archive import MANIFEST, kind_of, read_files
 from xmarl_bench.submission.consistency import entry_findings
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv

@@ -15,7 +15,9 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 from xmarl_envs import TASKS
 
-from xmarl_bench.entry import (
+from xmarl_bench.entry.aggregation import BEHAVIOUR, SANITY
+from xmarl_bench.entry.protocol import DEFINITIONS, SANITY_EPISODES
+from xmarl_bench.entry.schema import (
     BudgetRow,
     CellResult,
     ControlMetrics,
@@ -25,12 +27,10 @@ from xmarl_bench.entry import (
     Summary,
 )
 from xmarl_bench.metrics.budgeted_fidelity import budgeted_fidelity
-from xmarl_bench.protocol import DEFINITIONS, SANITY_EPISODES
+from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import episode_seeds
-from xmarl_bench.strict_json import shown
-from xmarl_bench.summary import BEHAVIOUR, SANITY
 
-# The controls, as xmarl_bench.controls names them: that module waits for torch, these checks do not.
+# The controls, as xmarl_bench.explain.controls names them: that module waits for torch, these checks do not.
 RANDOM, INVERTED, ORACLE = "random", "inverted", "oracle"
 FLOORS = {"all-ones", "zeros", RANDOM, "bernoulli", "self", INVERTED}
 CEILINGS = {ORACLE, "soft-oracle"}

@@ -10,8 +10,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from xmarl_bench.entry import Entry, EpisodeRow, Record
-from xmarl_bench.field_types import Count, Sha256, Text
+from xmarl_bench.entry.schema import Entry, EpisodeRow, Record
+from xmarl_bench.records.field_types import Count, Sha256, Text
 
 BUNDLE_VERSION: Final = 1
 ROW_COLUMNS = tuple(name for name in EpisodeRow.model_fields if not name.endswith("budget"))

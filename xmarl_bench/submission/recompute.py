@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from xmarl_bench.entry import Entry, Metrics, Summary
+from xmarl_bench.entry.aggregation import metrics_of_cell
+from xmarl_bench.entry.schema import Entry, Metrics, Summary
 from xmarl_bench.submission.consistency import close
-from xmarl_bench.summary import metrics_of_cell
 
 
 class Difference(NamedTuple):

@@ -13,18 +13,18 @@ from itertools import zip_longest
 
 import numpy as np
 
-from xmarl_bench.cell_result import episode_row
-from xmarl_bench.entry import BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
-from xmarl_bench.fitting import fitted
-from xmarl_bench.measure import Explained, Unit
+from xmarl_bench.entry.aggregation import BEHAVIOUR
+from xmarl_bench.entry.protocol import SANITY_EPISODES
+from xmarl_bench.entry.schema import BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
+from xmarl_bench.explain.fitting import fitted
+from xmarl_bench.plugins.registry import FoundExplainer
 from xmarl_bench.policy import Policy, PolicyCard
-from xmarl_bench.protocol import SANITY_EPISODES
-from xmarl_bench.registry import FoundExplainer
-from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.rollout import Rollout
-from xmarl_bench.scoring import entries_of, score_requests
+from xmarl_bench.rollout.episodes import Rollout
+from xmarl_bench.score.cell_result import episode_row
+from xmarl_bench.score.measure import Explained, Unit
+from xmarl_bench.score.request import Cell, Request, Sampling
+from xmarl_bench.score.scoring import entries_of, score_requests
 from xmarl_bench.submission.recompute import Difference, summaries
-from xmarl_bench.summary import BEHAVIOUR
 
 # What an explainer's record may say otherwise and still be the same: where it was found, not what it is.
 WHERE = ("seed", "code", "distribution", "version", "entry_point", "code_sha256")

@@ -26,9 +26,9 @@ import torch
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.explainer import Explain
+from xmarl_bench.explain.explainer import Explain
 from xmarl_bench.policy import Policy
-from xmarl_bench.strict_json import shown
+from xmarl_bench.records.strict_json import shown
 from xmarl_bench.submission.limits import Limits, Wall, environment, python_folders, strongest, walled
 
 MAX_HEADER, MAX_MASKS = 64 * 1024, 1 << 30

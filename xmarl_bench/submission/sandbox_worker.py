@@ -51,8 +51,8 @@ class Worker:
 
     def load(self) -> tuple[dict[str, Any], bytes]:
         """What it declares: an `ExplainerRecord`. From here on the code of strangers runs."""
-        from xmarl_bench.registry import find_explainer
-        from xmarl_bench.scoring import explainer_record
+        from xmarl_bench.plugins.registry import find_explainer
+        from xmarl_bench.score.scoring import explainer_record
 
         self.found = find_explainer(self.name)
         return explainer_record(self.found, 0).model_dump(mode="json"), b""
@@ -63,7 +63,7 @@ class Worker:
         """A mask (S, N, N) as float32 bytes, or the key of what was fitted."""
         import torch
 
-        from xmarl_bench.explainer import fit_explainer, run_explainer
+        from xmarl_bench.explain.explainer import fit_explainer, run_explainer
         from xmarl_bench.reproducible import one_thread
 
         x = torch.tensor(observations)

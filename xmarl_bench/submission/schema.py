@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from xmarl_bench.entry import Entry, Record
-from xmarl_bench.files import pretty_json, write_atomically
+from xmarl_bench.entry.schema import Entry, Record
+from xmarl_bench.records.files import pretty_json, write_atomically
 from xmarl_bench.submission.manifest import Manifest
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from xmarl_bench.entry import Entry
-from xmarl_bench.provenance import provenance
+from xmarl_bench.entry.provenance import provenance
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.submission.recompute import Difference
 
 # Relative to the larger of 1 and the number itself.

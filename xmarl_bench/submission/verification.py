@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from xmarl_bench.controls import CONTROLS
-from xmarl_bench.entry import Entry, ExplainerRecord, Verification
+from xmarl_bench.entry.provenance import now, package_version
+from xmarl_bench.entry.schema import Entry, ExplainerRecord, Verification
 from xmarl_bench.errors import InputError
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.plugins.registry import EXPLAINERS, FoundExplainer, find_explainer, find_policy
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
-from xmarl_bench.provenance import now, package_version
-from xmarl_bench.registry import EXPLAINERS, FoundExplainer, find_explainer, find_policy
-from xmarl_bench.scoring import explainer_record
-from xmarl_bench.strict_json import shown
+from xmarl_bench.records.strict_json import shown
+from xmarl_bench.score.scoring import explainer_record
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
 from xmarl_bench.submission.consistency import CLOSE
 from xmarl_bench.submission.limits import Limits

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from xmarl_baselines.batching import by_chunks
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from xmarl_baselines.explainers.attention import attention_mask
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 
 

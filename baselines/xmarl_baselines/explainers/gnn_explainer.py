@@ -30,7 +30,7 @@ from torch import Tensor
 from xmarl_baselines.action_change import action_change
 from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.frozen_policy import frozen
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 
 

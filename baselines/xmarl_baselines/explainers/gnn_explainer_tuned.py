@@ -19,7 +19,7 @@ from torch import Tensor
 from xmarl_baselines.batching import by_chunks
 from xmarl_baselines.explainers.gnn_explainer import GNNExplainerSettings, optimise_mask
 from xmarl_baselines.frozen_policy import frozen
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 
 SETTINGS = GNNExplainerSettings(epochs=100, lr=0.3, edge_size=0.0002, edge_ent=0.0005)

@@ -5,7 +5,8 @@ PyG's and Captum's edge masks, for the factor on each message. Formula:
 
     a_ij = d e_i(m) / d m_ij  at m = 1,
 
-e_i the effect of xmarl_bench.effect: how far agent i's action has moved along what all messages do to it.
+e_i the effect of xmarl_bench.explain.effect: how far agent i's action has moved along what all messages do
+to it.
 In a policy of several layers the sum of e over all agents is differentiated.
 
 Departures: signed, where saliency takes absolute values; the mask is 0.5 + a / (2 max |a|) over the row, so
@@ -18,8 +19,8 @@ from torch import Tensor
 
 from xmarl_baselines.batching import by_chunks
 from xmarl_baselines.frozen_policy import frozen
-from xmarl_bench.effect import effect_direction, signed_to_unit
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.effect import effect_direction, signed_to_unit
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 
 NORMALISER = "0.5 + a / (2 max |a|) over the row"

@@ -38,9 +38,9 @@ from torch_geometric.nn import MessagePassing
 from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.errors import InputError
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.policy import GraphPolicy, Policy
-from xmarl_bench.pyg import PygExplain
 
 BETA, GAMMA, ZETA, LOCATION = 1 / 3, -0.2, 1.2, 2  # hard concrete, not arguments in PyG
 STEPS_AT_ONCE = 128  # a timestep has up to 17,000 parameters of its own, and Adam three more copies

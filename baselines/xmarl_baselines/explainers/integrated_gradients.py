@@ -4,9 +4,9 @@ Paper: Sundararajan, Taly and Yan, "Axiomatic Attribution for Deep Networks" (IC
 
     a_ij = integral over t in [0, 1] of  d e_i(m) / d m_ij  at m = t,
 
-e_i the effect of xmarl_bench.effect, by the midpoint rule. A row sums to e_i(1) = d_i(0), what removing all
-messages changes, up to the rule's error (completeness; a test holds it). In a policy of several layers the
-sum of e over all agents is integrated, and all rows together sum to its value.
+e_i the effect of xmarl_bench.explain.effect, by the midpoint rule. A row sums to e_i(1) = d_i(0), what
+removing all messages changes, up to the rule's error (completeness; a test holds it). In a policy of several
+layers the sum of e over all agents is integrated, and all rows together sum to its value.
 
 Departures: the mask is 0.5 + a / (2 max |a|) over the row, so it keeps order and sign.
 """
@@ -19,8 +19,8 @@ from torch import Tensor
 from xmarl_baselines.batching import by_chunks
 from xmarl_baselines.explainers.gradient import NORMALISER, gradient_at
 from xmarl_baselines.frozen_policy import frozen
-from xmarl_bench.effect import signed_to_unit
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.effect import signed_to_unit
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 
 POINTS = 32

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from xmarl_baselines.batching import by_chunks
 from xmarl_baselines.frozen_policy import frozen
-from xmarl_bench.effect import share_of_largest
-from xmarl_bench.explainer import Explainer
+from xmarl_bench.explain.effect import share_of_largest
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 
 

@@ -30,16 +30,16 @@ from torch import Tensor
 from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.explainers.gradient import NORMALISER
 from xmarl_baselines.frozen_policy import frozen
-from xmarl_bench.effect import signed_to_unit
-from xmarl_bench.explainer import Explainer
-from xmarl_bench.oracle import change_table, why_no_oracle
+from xmarl_bench.explain.effect import signed_to_unit
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.oracle import change_table, why_no_oracle
 from xmarl_bench.policy import Policy
 
 PAIRS = 16  # of an order and its reverse
 
 
 def exact_values(change: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2^N, S, N) changes d of every binary row (xmarl_bench.oracle) -> (S, N, N)."""
+    """(2^N, S, N) changes d of every binary row (xmarl_bench.explain.oracle) -> (S, N, N)."""
     n_rows, n_steps, n_agents = change.shape
     row = np.arange(n_rows)
     size = np.bitwise_count(row)

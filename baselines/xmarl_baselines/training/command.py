@@ -15,20 +15,21 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from xmarl_baselines.paper_schedule import schedule_runs
+from xmarl_baselines.reference import EPISODES, reference_runs, run_named
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.own_process import train_in_own_process
 from xmarl_baselines.training.recipes import recipe_for
-from xmarl_baselines.reference import EPISODES, reference_runs, run_named, schedule_runs
 from xmarl_baselines.training.trainer import Report, Run, train
-from xmarl_bench.commands.options import Address, Backend
+from xmarl_bench.cli.options import Address, Backend
+from xmarl_bench.cli.tables import performance_rows, print_rows
 from xmarl_bench.errors import InputError
-from xmarl_bench.evaluation import Performance, evaluate_policy
-from xmarl_bench.fan_out import Failure, fan_out
+from xmarl_bench.parallel.fan_out import Failure, fan_out
+from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, save_policy
-from xmarl_bench.report import performance_rows, print_rows
 from xmarl_bench.reproducible import one_thread
-from xmarl_bench.request import Cell
-from xmarl_bench.workers import Workers
+from xmarl_bench.rollout.evaluation import Performance, evaluate_policy
+from xmarl_bench.score.request import Cell
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -79,9 +80,7 @@ def command(
     caution: Annotated[
         float, typer.Option(min=0, help="multiplies the penalties of touching and of being near")
     ] = 1.0,
-    frames: Annotated[
-        int | None, typer.Option(min=1, help="team-steps; the recipe's")
-    ] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="team-steps; the recipe's")] = None,
     out: Annotated[Path, typer.Option(help="folder for runs; this one gets its own in it")] = Path("runs"),
     start_from: Annotated[
         Path | None, typer.Option(help="folder of a finished run to fine-tune, e.g. with a lambda it had not")

@@ -29,10 +29,10 @@ from xmarl_baselines.training.model_selection import ModelSelection, Record
 from xmarl_baselines.training.recipes import Recipe
 from xmarl_baselines.training.team_vec_env import TeamVecEnv
 from xmarl_bench.errors import InputError
-from xmarl_bench.files import write_json
 from xmarl_bench.policy import GraphPolicy, build_policy
+from xmarl_bench.records.files import write_json
 from xmarl_bench.reproducible import seeded
-from xmarl_bench.request import Cell
+from xmarl_bench.score.request import Cell
 
 VALIDATIONS = 10  # per run
 Report = Callable[[int, dict[str, float]], None]  # frames so far, SB3's log of the last iteration

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from tests.policies import small_policy
-from xmarl_bench.entry import Entry
+from xmarl_bench.entry.schema import Entry
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy, save_policy
-from xmarl_bench.registry import find_explainer
-from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.scoring import entries_of, score_requests
+from xmarl_bench.score.request import Cell, Request, Sampling
+from xmarl_bench.score.scoring import entries_of, score_requests
 from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle
 
 TASK, TEAM = "blind_passage_v0", 3

@@ -7,11 +7,11 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from xmarl_bench.entry import Entry, entry_id
-from xmarl_bench.files import canonical_json, pretty_json
+from xmarl_bench.entry.aggregation import metrics_of_cell
+from xmarl_bench.entry.schema import Entry, entry_id
+from xmarl_bench.records.files import canonical_json, pretty_json
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
-from xmarl_bench.summary import metrics_of_cell
 
 Edit = Callable[[dict[str, Any]], object]
 

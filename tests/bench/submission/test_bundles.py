@@ -14,11 +14,11 @@ import pytest
 from tests.bench.submission.conftest import LICENCE, Pack
 from tests.bench.submission.edits import Edit, edited, with_entry, with_manifest
 from tests.conftest import RunCli
-from xmarl_bench.controls import CONTROLS, INVERTED
-from xmarl_bench.entry import Entry, Verification
-from xmarl_bench.entry_file import read_entry, write_entry
-from xmarl_bench.files import pretty_json
+from xmarl_bench.entry.file import read_entry, write_entry
+from xmarl_bench.entry.schema import Entry, Verification
+from xmarl_bench.explain.controls import CONTROLS, INVERTED
 from xmarl_bench.policy.untrusted import WEIGHTS
+from xmarl_bench.records.files import pretty_json
 from xmarl_bench.submission import consistency
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.checking import check
@@ -187,7 +187,7 @@ def test_validating_waits_for_no_torch(
     weights = "policies/small/policy.safetensors"
     broken = pack(with_manifest({**files, weights: files[weights][:-4]}), "broken.zip")
     code = (
-        "import sys; from xmarl_bench.cli import main\n"
+        "import sys; from xmarl_bench.cli.main import main\n"
         "try:\n    main()\nexcept SystemExit as stopped:\n    code = stopped.code\n"
         "waited = {'torch', 'torch_geometric', 'scipy', 'joblib'} & sys.modules.keys()\n"
         "sys.exit(f'waited for {waited}' if waited else code)"

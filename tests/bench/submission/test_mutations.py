@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from tests.bench.submission.edits import with_id, with_manifest
-from xmarl_bench.entry import Entry
-from xmarl_bench.entry_file import entry_text
+from xmarl_bench.entry.file import entry_text
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
-from xmarl_bench.files import canonical_json
+from xmarl_bench.records.files import canonical_json
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.checking import check
 from xmarl_bench.submission.packing import write_bundle

@@ -14,8 +14,8 @@ import torch
 
 from tests.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
-from xmarl_bench.explainer import Explainer, fit_explainer, run_explainer
-from xmarl_bench.registry import find_explainer
+from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.submission.limits import Limits, Wall, strongest
 from xmarl_bench.submission.sandbox import Sandbox
 

@@ -15,13 +15,13 @@ from tests.bench.submission.conftest import TASK, TEAM, Pack
 from tests.bench.submission.edits import edited, with_entry, with_manifest
 from tests.conftest import RunCli
 from tests.policies import small_policy
-from xmarl_bench.entry import Entry
-from xmarl_bench.entry_file import read_entry
+from xmarl_bench.entry.file import read_entry
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import PolicyCard, save_policy
-from xmarl_bench.registry import find_explainer
-from xmarl_bench.request import Cell, Request, Sampling
-from xmarl_bench.scoring import entries_of, score_requests
+from xmarl_bench.score.request import Cell, Request, Sampling
+from xmarl_bench.score.scoring import entries_of, score_requests
 from xmarl_bench.submission import tolerance, verification
 from xmarl_bench.submission.checking import Checked, check
 from xmarl_bench.submission.recompute import Difference

@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
-from xmarl_bench.files import write_atomically
+from xmarl_bench.records.files import write_atomically
 
 WORKFLOW = Path(__file__).parents[3] / ".github" / "workflows" / "submission.yml"
 

@@ -1,0 +1,72 @@
+"""The page of an entry in Chromium."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.bench.board.page.browser import Browse
+from xmarl_bench.board.command import command_of
+from xmarl_bench.entry.file import read_entries
+from xmarl_bench.entry.schema import Entry
+
+
+def find(board: Path, policy: str, explainer: str = "good") -> Entry:
+    entries = [entry for _, entry in read_entries(board / "entries")]
+    return next(e for e in entries if (e.policy.name, e.explainer.name) == (policy, explainer))
+
+
+def test_numbers_provenance_and_command(board: Path, browse: Browse) -> None:
+    entry = find(board, "p1", "fair")
+    page = browse(board / "entry.html", f"#{entry.entry_id[:16]}")
+    expect(page.locator("h1")).to_have_text("fair on p1")
+    assert "fair on p1" in page.title()
+    summary = entry.results[0].metrics.gef
+    assert summary is not None
+    row = page.locator("#metrics tbody tr").filter(has_text="GEF").first.locator("td").all_inner_texts()
+    assert row[0].startswith(f"{summary.value:.3f}")
+    assert row[1] == "50"
+    assert [float(x) for x in row[2:]] == [0.1, 0.1, 0.1]  # random, oracle, inverted
+    assert "Rank 2" in page.locator("#summary").inner_text()
+    expect(page.locator("#command")).to_have_text(command_of(entry))
+    shown = page.locator("#provenance").inner_text()
+    for text in (entry.entry_id, entry.policy.weights_sha256, "made:fair", "2026-01-01T00:00:00Z"):
+        assert text in shown
+    link = page.get_by_role("link", name=entry.entry_id).get_attribute("href")
+    assert link
+    assert (board / link).is_file()
+    expect(page.locator("#budget-figure svg[aria-label^=FidDelta]")).to_have_count(2)
+    page.get_by_role("button", name="Copy").click()
+    expect(page.locator("#copied")).not_to_be_empty()
+
+
+@pytest.mark.parametrize("motion", ["no-preference", "reduce"])
+def test_the_animation_can_be_stopped(board: Path, browse: Browse, motion: str) -> None:
+    identity = find(board, "p0").entry_id[:16]
+    page = browse(board / "entry.html", f"#{identity}", reduced_motion=motion)
+    picture, moving = page.locator("#episode"), motion == "no-preference"
+    button = page.get_by_role("button", name="Stop" if moving else "Play")
+    expect(picture).to_be_visible(visible=moving)
+    button.click()
+    expect(picture).to_be_visible(visible=not moving)
+    assert "first episode" in str(picture.get_attribute("alt"))
+    if not moving:
+        page.wait_for_function("document.getElementById('episode').naturalWidth === 80")
+
+
+def test_pages_work_without_an_animation(board: Path, browse: Browse) -> None:
+    identity = find(board, "p2").entry_id[:16]
+    page = browse(board / "entry.html", f"#{identity}", viewport={"width": 360, "height": 740})
+    expect(page.locator("h1")).to_have_text("good on p2")
+    expect(page.locator("#animation")).to_be_hidden()
+    expect(page.locator("#budget-figure svg").first).to_be_visible()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+
+
+def test_what_is_not_ranked_or_not_there_says_so(board: Path, browse: Browse) -> None:
+    page = browse(board / "entry.html", f"#{find(board, 'failing').entry_id[:16]}")
+    expect(page.locator("#gate")).to_have_text("Not ranked: success rate 0.200, under 0.5.")
+    page = browse(board / "entry.html", "#0123456789abcdef")
+    expect(page.locator("#summary")).to_have_text("There is no entry 0123456789abcdef on this board.")

@@ -1,0 +1,71 @@
+"""Animations of entries: drawn once, of what was scored, and gone with their entry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from tests.bench.installed import install
+from tests.bench.made_entries import made_entry
+from tests.conftest import MakeBundle, RunCli
+from xmarl_bench.board import build_board, check_board
+from xmarl_bench.board.animations import draw_missing
+from xmarl_bench.entry.file import write_entry
+from xmarl_bench.plugins.registry import find_explainer
+from xmarl_bench.render import animation
+from xmarl_bench.score.scoring import score
+
+
+@pytest.fixture
+def board(tmp_path: Path, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """One entry of an installed policy, and one of a policy that is not installed."""
+    bundle = make_bundle(name="small")
+    install(monkeypatch, small=bundle)
+    monkeypatch.setattr(animation, "SMALL_FRAMES", 4)
+    folder = tmp_path / "board"
+    entry = score(bundle, find_explainer("random").explainer, episodes=1, timesteps=2, max_cycles=6)
+    write_entry(folder / "entries", entry)
+    write_entry(folder / "entries", made_entry("stranger", "random", 0.5))
+    build_board(folder)
+    return folder
+
+
+def test_animations_are_drawn_once_and_shown(board: Path, run_cli: RunCli) -> None:
+    ran = run_cli("board", "build", board, "--animations")
+    assert ran.code == 0, ran.err
+    (path,) = (board / "animations").iterdir()
+    assert f"{path}: small, random" in ran.out
+    assert "stranger, random: no animation, for " in ran.out
+    with Image.open(path) as image:
+        assert image.n_frames == 4  # type: ignore[attr-defined]
+    (data,) = (board / "pages").glob("board-*.js")
+    assert path.stem in data.read_text()
+    assert check_board(board) == []
+    assert [line for line in draw_missing(board) if "no animation" not in line] == []
+    page = data.read_bytes()
+    path.unlink()
+    assert len(check_board(board)) > 0  # the page shows one that is gone
+    build_board(board)
+    assert next((board / "pages").glob("board-*.js")).read_bytes() != page
+
+
+def test_an_animation_goes_with_its_entry(board: Path) -> None:
+    list(draw_missing(board))
+    build_board(board)
+    (animation_file,) = (board / "animations").iterdir()
+    next((board / "entries").glob("small.*")).unlink()
+    assert f"{animation_file} belongs to no entry." in check_board(board)
+    build_board(board)
+    assert check_board(board) == []
+    assert not animation_file.exists()
+
+
+def test_other_weights_are_not_shown_as_those_scored(
+    board: Path, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(monkeypatch, small=make_bundle(name="again", seed=1))
+    (line, _) = draw_missing(board)
+    assert line == "small, random: no animation, for the installed policy 'small' has other weights."
+    assert not (board / "animations").exists()

@@ -1,0 +1,53 @@
+"""The command on an entry's page makes the entry again."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.bench.installed import install
+from tests.conftest import MakeBundle, RunCli
+from xmarl_bench.board.command import command_of
+from xmarl_bench.entry.file import read_entries
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--episodes", 2, "--max-cycles", 7],
+        [
+            "--episodes",
+            1,
+            "--timesteps",
+            3,
+            "--max-cycles",
+            9,
+            "--seed",
+            5,
+            "--submitter",
+            "A. Nother, it's me",
+        ],
+        ["--episodes", 2, "--max-cycles", 8, "--behaviour-episodes", 1, "--agents", 4],
+        ["--episodes", 1, "--max-cycles", 8, "--no-behaviour", "all"],
+    ],
+)
+def test_the_command_makes_the_entry_again(
+    tmp_path: Path,
+    run_cli: RunCli,
+    make_bundle: MakeBundle,
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[object],
+) -> None:
+    install(monkeypatch, small=make_bundle(name="small"))
+    given = ["score", "--policy", "small", "--explainer", "random", "--out", tmp_path / "one", *options]
+    assert run_cli(*given).code == 0
+    ((_, entry),) = read_entries(tmp_path / "one" / "entries")
+    program, *words = shlex.split(command_of(entry, str(tmp_path / "two")))
+    assert program == "xmarl-bench"
+    ran = run_cli(*words)
+    assert ran.code == 0, ran.err
+    ((_, again),) = read_entries(tmp_path / "two" / "entries")
+    assert again.entry_id == entry.entry_id
+    assert again.file_name == entry.file_name

@@ -1,0 +1,187 @@
+"""Ranks, their intervals and tie groups."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.bench.made_entries import made_board, made_entry
+from xmarl_bench.board import board_of
+from xmarl_bench.board.ranking import Floats, complete_part, places, resampled
+from xmarl_bench.board.tables import Json
+from xmarl_bench.entry.schema import Entry
+from xmarl_bench.metrics.statistics import hierarchical_bootstrap, percentiles, resampled_means, tie_groups
+
+
+def board(entries: Sequence[Entry]) -> Json:
+    return board_of([(f"{k}.json", entry) for k, entry in enumerate(entries)])
+
+
+def order_of(entry: Entry) -> float:
+    summary = entry.results[0].metrics.comm_budgeted_fidelity
+    assert summary is not None
+    assert summary.value is not None
+    return summary.value
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def noisy(levels: Sequence[float], n_policies: int, n_episodes: int, seed: int = 1) -> list[Floats]:
+    """Policies differ, and what they share between competitors cancels in a paired difference."""
+    generator = np.random.default_rng(seed)
+    return [
+        np.array(levels)[:, None]
+        + generator.normal(size=n_episodes)
+        + 0.1 * generator.normal(size=(len(levels), n_episodes))
+        for _ in range(n_policies)
+    ]
+
+
+def test_resamples_are_those_of_the_hierarchical_bootstrap() -> None:
+    """Another draw of the same distribution: intervals of a paired difference agree."""
+    blocks = noisy([0.5, 0.0], n_policies=6, n_episodes=20)
+    samples = resampled(blocks, rng(), 20_000)
+    low, high = percentiles(samples[:, 0] - samples[:, 1])
+    expected = hierarchical_bootstrap(
+        [block[0] for block in blocks], [block[1] for block in blocks], rng(), resamples=20_000
+    )
+    assert expected.interval is not None
+    assert [low, high] == pytest.approx(expected.interval, abs=0.003)
+    assert high - low < 0.2  # paired: unpaired it would be about 0.5
+    alone = resampled_means([block[0] for block in blocks], rng(), 20_000)
+    assert samples[:, 0].std() == pytest.approx(alone.std(), rel=0.03)
+
+
+def test_one_policy_is_the_plain_bootstrap_and_equal_episodes_have_no_spread() -> None:
+    samples = resampled([np.array([[0.0, 1.0], [3.0, 3.0]])], rng(), 4000)
+    assert np.unique(samples[:, 0]).tolist() == [0.0, 0.5, 1.0]
+    assert [(samples[:, 0] == x).mean() for x in (0.0, 0.5, 1.0)] == pytest.approx(
+        [0.25, 0.5, 0.25], abs=0.03
+    )
+    assert (samples[:, 1] == 3.0).all()
+
+
+def test_places_by_hand() -> None:
+    blocks = noisy([0.0, 1.0, 0.99, -5.0], n_policies=1, n_episodes=12)
+    found = places([float(x) for x in blocks[0].mean(axis=1)], blocks, rng())
+    first, second = (1, 2) if found[1].rank == 1 else (2, 1)
+    assert [found[r].rank for r in (first, second, 0, 3)] == [1, 2, 3, 4]
+    assert found[0].rank_interval == (3, 3)
+    assert found[3].rank_interval == (4, 4)
+    assert found[1].rank_interval == found[2].rank_interval == (1, 2)
+    assert [found[r].tie_group for r in (first, second, 0, 3)] == [1, 1, 2, 3]
+    interval = found[3].interval
+    assert interval is not None
+    assert interval[0] < blocks[0][3].mean() < interval[1]
+
+
+def test_what_is_equal_but_for_rounding_shares_a_rank() -> None:
+    (block,) = noisy([1.0, 0.0], n_policies=1, n_episodes=12)
+    block = np.stack([block[1], block[0], block[0] * (1 + 1e-15)])
+    found = places([float(row.mean()) for row in block], [block], rng())
+    assert [place.rank for place in found] == [3, 1, 1]
+    assert [place.rank_interval for place in found] == [(3, 3), (1, 1), (1, 1)]
+    assert [place.tie_group for place in found] == [2, 1, 1]
+
+
+@given(st.lists(st.floats(-1, 1), min_size=1, max_size=5), st.integers(1, 3), st.integers(0, 5))
+def test_places_are_a_ranking(levels: list[float], n_policies: int, seed: int) -> None:
+    blocks = noisy(levels, n_policies, 8, seed)
+    values = [float(np.mean([block[r].mean() for block in blocks])) for r in range(len(levels))]
+    found = places(values, blocks, rng())
+    by_rank = sorted(range(len(levels)), key=lambda r: found[r].rank)
+    assert [found[r].rank for r in by_rank] == list(range(1, len(levels) + 1))
+    assert [values[r] for r in by_rank] == sorted(values, reverse=True)
+    groups = [found[r].tie_group for r in by_rank]
+    assert groups[0] == 1
+    assert set(np.diff(groups)) <= {0, 1}
+    for place in found:
+        assert place.rank_interval is not None
+        assert 1 <= place.rank_interval[0] <= place.rank_interval[1] <= len(levels)
+
+
+def test_tie_groups_are_those_of_the_statistics() -> None:
+    """On differences of many standard errors, or of none, both sides must agree."""
+    levels = [3.0, 3.0, 2.0, 1.0, 1.0]
+    blocks = noisy(levels, n_policies=4, n_episodes=30)
+    values = [float(np.mean([block[r].mean() for block in blocks])) for r in range(len(levels))]
+    order = sorted(range(len(levels)), key=lambda r: -values[r])
+    expected = tie_groups([[block[r] for block in blocks] for r in order], rng())
+    found = places(values, blocks, rng())
+    assert [found[r].tie_group - 1 for r in order] == expected
+    assert len(set(expected)) >= 3
+
+
+def test_an_episode_counts_where_all_have_a_number() -> None:
+    block = np.array([[1.0, np.nan, 3.0, 4.0], [0.0, 50.0, 0.0, 0.0]])
+    found = places([8 / 3, 0.0], [block], rng())
+    assert [place.rank_interval for place in found] == [(1, 1), (2, 2)]  # the 50 has no pair
+
+
+def test_one_episode_says_nothing() -> None:
+    found = places([0.1, 0.9], [np.array([[0.1], [0.9]])], rng())
+    assert [(p.rank, p.rank_interval, p.interval, p.tie_group) for p in found] == [
+        (2, None, None, 1), (1, None, None, 1),
+    ]  # fmt: skip
+    assert places([], [], rng()) == []
+
+
+def test_the_complete_part_is_shrunk_by_no_latecomer() -> None:
+    full = {f"policy{k}": ["a", "b", "c"] for k in range(5)}
+    policies, explainers = list(full), ["a", "b", "c"]
+    assert complete_part(full) == (policies, explainers)
+    assert complete_part({**full, "new": ["a"]}) == (policies, explainers)
+    assert complete_part({**full, "policy0": ["a", "b", "c", "new"]}) == (policies, explainers)
+    assert complete_part({"p": ["a"], "q": ["b"]}) == ([], [])
+    assert complete_part({}) == ([], [])
+
+
+def test_ranking_over_policies_has_each_explainers_mean() -> None:
+    entries = [
+        *made_board([f"policy{k}" for k in range(6)], {"good": 0.9, "twin": 0.9, "bad": 0.3}),
+        made_entry("policy0", "partial", 0.95),
+    ]
+    made = board(entries)
+    overall = next(each for each in made["rankings"] if each["task"] is None)
+    rows = {row["explainer"]: row for row in overall["rows"]}
+    assert [policy["name"] for policy in overall["policies"]] == [f"policy{k}" for k in (0, 3, 1, 4, 2, 5)]
+    means = {
+        name: np.mean([order_of(e) for e in entries if e.explainer.name == name])
+        for name in ("good", "twin", "bad")
+    }
+    for name, mean in means.items():
+        assert rows[name]["value"] == pytest.approx(mean)
+        assert rows[name]["interval"][0] < mean < rows[name]["interval"][1]
+        assert rows[name]["n_policies"] == 6
+    assert rows["bad"]["rank"] == 3
+    assert rows["good"]["tie_group"] == rows["twin"]["tie_group"] == 1
+    assert rows["bad"]["tie_group"] == 2
+    assert rows["partial"]["rank"] is None  # the best value, of one policy of six
+    assert rows["partial"]["n_policies"] == 1
+    assert rows["random"]["control"] is True
+    assert rows["random"]["value"] == pytest.approx(0.1)
+    cells = [(each["task"], each["n_agents"]) for each in made["rankings"]]
+    assert cells == [(None, None), *(("blind_navigation_v0", n) for n in (3, 4, 5))]
+
+
+def test_gated_policies_are_in_no_ranking() -> None:
+    listed = [made_entry("fine", "a", 0.5), made_entry("failing", "a", 0.9, success_rate=0.2)]
+    made = board(listed)
+    (overall, _) = made["rankings"]
+    assert [policy["name"] for policy in overall["policies"]] == ["fine"]
+    groups = {policy["name"]: policy for policy in made["tables"][0]["policies"]}
+    (row,) = [row for row in groups["failing"]["rows"] if row["entry_id"]]
+    assert (row["rank"], row["rank_interval"], row["tie_group"]) == (None, None, None)
+    assert groups["failing"]["gate"] == "success rate 0.200, under 0.5"
+
+
+def test_a_policy_without_the_order_is_not_ranked() -> None:
+    made = board([made_entry("deep", "a", 0.5, comm_budgeted_fidelity=None)])
+    assert made["rankings"] == []
+    assert all(row["rank"] is None for row in made["tables"][0]["policies"][0]["rows"])

@@ -1,0 +1,221 @@
+"""Every check passes what is right and fails what is wrong, in a sentence."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch_geometric.explain import GraphMaskExplainer
+
+from tests.bench.example_plugins import BAD
+from tests.conftest import MakeBundle, RunCli
+from tests.policies import random_observations, small_policy
+from xmarl_bench import as_explainer
+from xmarl_bench.checks import Finding, run_checks
+from xmarl_bench.checks.explainer_checks import CHECKS, ExplainerSubject
+from xmarl_bench.checks.peak_memory import peak_memory
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.policy import GraphPolicy, Policy
+
+PROCESS = "another process, same mask"
+CALLS = [0]
+
+
+def found(thing: object, *only: str, **declared: Any) -> dict[str, Finding]:
+    """All checks but the one that starts another process, unless it is asked for."""
+    explainer = thing if isinstance(thing, Explainer) else as_explainer(thing, **declared)
+    subject = ExplainerSubject(explainer, small_policy(6), random_observations(6, 3, 6))
+    chosen = {name: CHECKS[name] for name in only or CHECKS if only or name != PROCESS}
+    return {each.check: each for each in run_checks(chosen, subject)}
+
+
+def failed(thing: object, *only: str, **declared: Any) -> dict[str, str]:
+    return {name: each.said for name, each in found(thing, *only, **declared).items() if each.passed is False}
+
+
+def attended(observations: Tensor, policy: Policy) -> Tensor:
+    return policy.attention(observations)
+
+
+def noisy(observations: Tensor, policy: Policy, generator: torch.Generator) -> Tensor:
+    return policy.attention(observations) * torch.rand(len(observations), 1, 1, generator=generator)
+
+
+def test_what_is_right_passes() -> None:
+    assert failed(attended) == {}
+    assert failed(attended, accesses="attention") == {}
+    assert failed(lambda observations: torch.ones(len(observations), len(observations)), batched=False) == {}
+    signed = found(lambda observations: observations @ observations.mT, signed=True)
+    assert all(each.passed for each in signed.values()), signed
+    assert "normalised by the harness" in signed["range"].said
+    one = found(noisy, stochastic=True)
+    assert all(each.passed is not False for each in one.values())
+    assert one["order of timesteps"].passed is None
+
+
+@pytest.mark.parametrize("name", sorted(BAD))
+def test_masks_that_are_none_fail_where_they_are_wrong(name: str) -> None:
+    findings = found(BAD[name])
+    first = next(each for each in findings.values() if each.passed is False)
+    assert repr(name) in first.said
+    where = {"nan": "finiteness", "late-nan": "finiteness", "infinite": "finiteness", "too-large": "range",
+             "negative": "range"}  # fmt: skip
+    assert first.check == where.get(name, "shape")
+    assert findings["memory"].passed is None  # nothing to look at
+
+
+def count(observations: Tensor) -> Tensor:
+    CALLS[0] += 1
+    return torch.full((len(observations), 3, 3), 1 / CALLS[0])
+
+
+def zeroed(observations: Tensor, policy: Policy) -> Tensor:
+    mask = policy.attention(observations)
+    with torch.no_grad():
+        next(iter(policy.parameters())).zero_()
+    return mask
+
+
+def hooked(observations: Tensor, policy: Policy) -> Tensor:
+    assert isinstance(policy, GraphPolicy)
+    policy.gat.register_forward_hook(lambda *_: None)
+    policy.gat.register_message_forward_hook(lambda *_: None)
+    return policy.attention(observations)
+
+
+def differentiated(observations: Tensor, policy: Policy) -> Tensor:
+    policy.distribution(observations).action.sum().backward()
+    return policy.attention(observations)
+
+
+def written(observations: Tensor, policy: Policy) -> Tensor:
+    mask = policy.attention(observations.clone())
+    observations.zero_()
+    return mask
+
+
+def drawing(library: Callable[[], object]) -> Callable[[Tensor, Policy], Tensor]:
+    def explain(observations: Tensor, policy: Policy) -> Tensor:
+        library()
+        return policy.attention(observations)
+
+    return explain
+
+
+def by_batch(observations: Tensor, policy: Policy) -> Tensor:
+    mask = policy.attention(observations)
+    return mask / mask.amax()
+
+
+def by_position(observations: Tensor, policy: Policy) -> Tensor:
+    return policy.attention(observations) * torch.linspace(0.5, 1, len(observations))[:, None, None]
+
+
+def slow(observations: Tensor, policy: Policy) -> Tensor:
+    until = time.process_time() + 0.025 * len(observations)
+    while time.process_time() < until:
+        pass
+    return policy.attention(observations)
+
+
+@pytest.mark.parametrize(
+    ("thing", "check", "said"),
+    [
+        (count, "same seed, same mask", "keep nothing between calls"),
+        (noisy, "another seed", "declare stochastic = True"),
+        (zeroed, "policy untouched", "weights"),
+        (hooked, "policy untouched", "hooks"),
+        (differentiated, "policy untouched", "gradients"),
+        (written, "observations untouched", "wrote into"),
+        (drawing(lambda: torch.rand(1)), "global random state untouched", "of torch"),
+        (drawing(lambda: np.random.rand(1)), "global random state untouched", "of numpy"),  # noqa: NPY002
+        (drawing(lambda: __import__("random").random()), "global random state untouched", "of Python"),
+        (drawing(lambda: torch.set_num_threads(2)), "global random state untouched", "number of threads"),
+        (by_batch, "chunks of timesteps", "in two halves"),
+        (by_position, "order of timesteps", "in another order"),
+        (lambda observations: torch.ones(len(observations), 3, 3), "other team sizes", "expected (2, 1, 1)"),
+        (slow, "time per timestep", "declare slow = True"),
+    ],
+)  # fmt: skip
+def test_every_check_can_fail(thing: Callable[..., Tensor], check: str, said: str) -> None:
+    threads = torch.get_num_threads()
+    try:
+        assert said in failed(thing, check)[check]
+        assert check not in failed(attended, check)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def test_slow_explainers_that_say_so_are_let_pass() -> None:
+    assert failed(slow, "time per timestep", slow=True) == {}
+
+
+def test_memory_is_measured_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hungry(observations: Tensor, policy: Policy) -> Tensor:
+        return policy.attention(observations) + 0 * torch.ones(64, 1024, 1024).sum()  # 256 MB
+
+    said = found(hungry, "memory")["memory"].said
+    if "does not tell" in said:
+        pytest.skip(said)
+    assert 230 < float(said.split()[0]) < 400
+    monkeypatch.setattr("xmarl_bench.checks.explainer_checks.MAX_MEMORY_MB", 100.0)
+    assert "explain fewer timesteps at once" in failed(hungry, "memory")["memory"]
+    nothing = peak_memory(lambda: None)
+    assert nothing is not None
+    assert nothing < 5
+
+
+def test_settings_kept_on_a_class_of_pyg_are_no_business_of_the_policy() -> None:
+    algorithm = as_explainer(GraphMaskExplainer(1, epochs=1, log=False))
+    assert (
+        failed(algorithm, "policy untouched", "global random state untouched", "observations untouched") == {}
+    )
+
+
+@pytest.mark.slow
+def test_another_process_gives_the_same_mask() -> None:
+    assert failed(attended, PROCESS) == {}
+    by_process = as_explainer(lambda observations: torch.full((len(observations), 3, 3), 1 / os.getpid()))
+    assert "another process gives another mask" in failed(by_process, PROCESS)[PROCESS]
+    lock = threading.Lock()
+    unsendable = as_explainer(lambda observations: observations @ observations.mT * lock.locked())
+    assert "cannot be sent to a worker process" in failed(unsendable, PROCESS)[PROCESS]
+
+
+@pytest.fixture
+def own_file(tmp_path: Path) -> Iterator[str]:
+    path = tmp_path / "own.py"
+    path.write_text(
+        "def attended(observations, policy):\n    return policy.attention(observations)\n"
+        "def wild(observations, policy):\n    return 2 * policy.attention(observations)\n"
+    )
+    yield str(path)
+
+
+def test_the_command(
+    run_cli: RunCli, make_bundle: MakeBundle, own_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(CHECKS, PROCESS)
+    bundle = make_bundle()
+    passed = run_cli(
+        "check", "explainer", f"{own_file}:attended", "--policy", bundle, "--json", "--timesteps", 4
+    )
+    assert passed.code == 0, passed.err
+    record = json.loads(passed.out)
+    assert record["passed"] is True
+    assert [each["check"] for each in record["findings"]] == list(CHECKS)
+    wild = run_cli("check", "explainer", f"{own_file}:wild", "--policy", bundle, "--timesteps", 4)
+    assert wild.code == 1
+    assert "scale them to [0, 1]" in " ".join(wild.out.split())
+    unknown = run_cli("check", "explainer", "atention", "--policy", bundle)
+    assert (unknown.code, unknown.out) == (2, "")
+    assert "Did you mean 'attention'?" in unknown.err

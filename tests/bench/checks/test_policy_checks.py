@@ -1,0 +1,117 @@
+"""The checks of policies: shipped and deep ones pass what is true of them, and every check can fail."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch_geometric.nn import GATv2Conv
+
+from tests.bench.policy.test_layers import CARD, GAT2, random_policy, record
+from tests.conftest import RunCli
+from xmarl_bench.checks import run_checks
+from xmarl_bench.checks.policy_checks import CHECKS, PolicySubject, check_policy
+from xmarl_bench.policy import ModulePolicy, Policy, save_policy
+from xmarl_bench.score.request import Cell
+
+CELL = Cell("blind_navigation_v0", 3)
+PLAYED = "success above random"
+
+
+def failed(policy: Policy, *only: str) -> dict[str, str]:
+    """What is said of the checks that fail, on states drawn at random; all checks but that of success."""
+    states = torch.randn(4, 3, 6, generator=torch.Generator().manual_seed(0))
+    chosen = {name: CHECKS[name] for name in only or CHECKS if only or name != PLAYED}
+    with torch.no_grad():
+        found = list(run_checks(chosen, PolicySubject(policy, CELL, states, 2)))
+    return {each.check: each.said for each in found if each.passed is False}
+
+
+class Pilot(nn.Module):
+    """Flies to its goal, and a little after the team; `fault` is what is wrong with it."""
+
+    def __init__(self, fault: str = "") -> None:
+        super().__init__()
+        self.fault = fault
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(0)
+            self.layer = GATv2Conv(6, 2, add_self_loops=False)
+
+    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        heard = self.layer(x, edge_index)
+        loc = -3.0 * x[:, 4:6] + (0.0 if self.fault == "deaf" else 0.3) * torch.tanh(heard)
+        if self.fault == "numbers":
+            loc = loc + 0.1 * torch.arange(len(x)).remainder(3)[:, None]
+        if self.fault == "first edge":
+            first = torch.zeros(len(x), 2).index_put((edge_index[1].flip(0),), x[edge_index[0].flip(0), :2])
+            loc = loc + first
+        if self.fault == "leak":
+            teams = (loc.view(-1, 3, 2).mean(dim=1, keepdim=True).expand(-1, 3, -1)).reshape(-1, 2)
+            loc = loc + 0.5 * teams
+        if self.fault == "noise":
+            loc = loc + 0.01 * torch.randn(loc.shape)
+        if self.fault == "nan":
+            loc = loc / (x[:, :2] * 0.0)
+        if self.fault == "lost":
+            loc = -loc
+        return torch.cat([loc, torch.zeros_like(loc)], dim=-1)
+
+
+def test_a_sound_policy_passes_every_check() -> None:
+    found = list(check_policy(ModulePolicy(Pilot(), 6), CELL, timesteps=4, episodes=2))
+    assert [each.check for each in found] == list(CHECKS)
+    assert [each.said for each in found if not each.passed] == []
+
+
+@pytest.mark.parametrize(
+    ("fault", "fails"),
+    [
+        ("deaf", {"uses messages"}),
+        ("numbers", {"permutation equivariance"}),
+        ("first edge", {"edge order", "blind without messages"}),
+        ("leak", {"blind without messages"}),
+    ],
+)
+def test_every_fault_is_found(fault: str, fails: set[str]) -> None:
+    found = failed(ModulePolicy(Pilot(fault), 6))
+    assert fails <= set(found) <= {*fails, "permutation equivariance"}
+    assert all(said.endswith(".") for said in found.values())
+
+
+def test_a_policy_that_flies_away_is_no_better_than_chance() -> None:
+    assert "not more than chance" in failed(ModulePolicy(Pilot("lost"), 6), PLAYED)[PLAYED]
+
+
+class Broken(ModulePolicy):
+    """Turns bad after it was accepted, as weights out of a file might."""
+
+    def __init__(self, fault: str) -> None:
+        pilot = Pilot()
+        super().__init__(pilot, 6)
+        pilot.fault = fault
+
+
+@pytest.mark.parametrize(("fault", "fails"), [("noise", "repeats"), ("nan", "output ranges")])
+def test_actions_that_are_none_are_found(fault: str, fails: str) -> None:
+    assert fails in failed(Broken(fault))
+
+
+def test_weights_that_are_none_are_found() -> None:
+    policy = ModulePolicy(Pilot(), 6)
+    with torch.no_grad():
+        policy.network.get_parameter("layer.bias").fill_(torch.nan)
+    assert "'network.layer.bias' first" in failed(policy)["finite weights"]
+
+
+def test_on_the_command_line(tmp_path: Path, run_cli: RunCli) -> None:
+    """Deep, on a graph that is not complete, and untrained: only the last is a failure."""
+    policy: Any = random_policy(record(GAT2, graph={"kind": "radius", "radius": 1.0}))
+    save_policy(tmp_path / "deep", policy, name="deep", **CARD)
+    ran = run_cli("check", "policy", tmp_path / "deep", "--timesteps", 4, "--episodes", 2, "--json")
+    assert ran.code == 1, ran.err
+    found = {each["check"]: each["passed"] for each in json.loads(ran.out)["findings"]}
+    assert {check for check, passed in found.items() if passed is False} == {PLAYED}

@@ -1,0 +1,169 @@
+"""Explainers compared on the same episodes: by hand, refused where there is nothing to pair, drawn."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import stats
+
+from tests.conftest import MakeBundle, RunCli
+from xmarl_bench.compare.comparison import METRICS, compare
+from xmarl_bench.compare.matching import blocks_of, read_named, shared_states
+from xmarl_bench.entry.file import write_entry
+from xmarl_bench.entry.schema import Entry, make_entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.score.scoring import score
+
+Values = Sequence[float | None]
+
+
+@pytest.fixture
+def entry(make_bundle: MakeBundle) -> Entry:
+    return score(make_bundle(), "random", episodes=4, timesteps=2, max_cycles=4, behaviour_episodes=0)
+
+
+def like(entry: Entry, explainer: str, values: Values, *, policy: str = "small", **changes: object) -> Entry:
+    """Another entry of the same states, whose episodes have these values of FidDelta and GEF."""
+    (cell,) = entry.results
+    rows = tuple(
+        row.model_copy(update={"fid_delta": value, "gef": value})
+        for row, value in zip(cell.episodes, values, strict=True)
+    )
+    content = {name: getattr(entry, name) for name in Entry.model_fields if name != "entry_id"}
+    content |= {
+        "explainer": entry.explainer.model_copy(update={"name": explainer}),
+        "policy": entry.policy.model_copy(update={"name": policy}),
+        "results": (cell.model_copy(update={"episodes": rows}),),
+    }
+    return make_entry(**(content | changes))
+
+
+def test_a_comparison_by_hand(entry: Entry) -> None:
+    worse, better = [0.1, 0.2, 0.3, 0.4], [0.35, 0.45, 0.55, 0.65]
+    blocks = blocks_of([like(entry, "worse", worse), like(entry, "better", better)])
+    comparison = compare(blocks, "fid_delta")
+    assert [each.explainer for each in comparison.standings] == ["better", "worse"]
+    assert [each.tie_group for each in comparison.standings] == [1, 2]
+    (pair,) = comparison.pairs
+    assert (pair.first, pair.second) == ("better", "worse")
+    assert pair.difference.value == pytest.approx(0.25)
+    assert pair.difference.interval == pytest.approx((0.25, 0.25))  # paired: it is the same in every episode
+    assert pair.test is not None
+    assert pair.test.u == 15.0  # of 16 pairs, all but 0.35 < 0.4
+    assert pair.test.p == pytest.approx(stats.mannwhitneyu(better, worse).pvalue)
+    assert pair.p_bonferroni == pair.p_holm == pair.test.p
+    assert [each.explainer for each in compare(blocks, "gef").standings] == ["worse", "better"]
+
+
+def test_p_values_are_corrected_for_all_pairs(entry: Entry) -> None:
+    values = [[0.1, 0.2, 0.3, 0.4], [0.11, 0.21, 0.31, 0.41], [0.7, 0.8, 0.9, 1.0]]
+    entries = [like(entry, name, each) for name, each in zip("abc", values, strict=True)]
+    pairs = compare(blocks_of(entries), "fid_delta").pairs
+    assert len(pairs) == 3
+    p = [pair.test.p for pair in pairs if pair.test is not None]
+    assert [pair.p_bonferroni for pair in pairs] == pytest.approx([min(1.0, 3 * each) for each in p])
+    ours = {(pair.first, pair.second): pair.p_holm for pair in pairs}
+    assert ours == pytest.approx({("c", "b"): 3 * min(p), ("c", "a"): 3 * min(p), ("b", "a"): max(p)})
+
+
+def test_several_policies_each_count_once(entry: Entry) -> None:
+    entries = [
+        like(entry, name, [value] * 4, policy=policy)
+        for name, policy, value in [("a", "p", 0.0), ("a", "q", 1.0), ("b", "p", 0.0), ("b", "q", 0.0)]
+    ]
+    comparison = compare(blocks_of(entries), "fid_delta")
+    assert len(comparison.states) == 2
+    assert comparison.standings[0].mean.value == 0.5
+    assert comparison.pairs[0].difference.interval == (0.0, 1.0)  # either policy may be drawn twice
+    assert [each.tie_group for each in comparison.standings] == [1, 1]
+
+
+def test_the_order_of_entries_and_rows_changes_nothing(entry: Entry) -> None:
+    rng = np.random.default_rng(0)
+    entries = [like(entry, name, rng.random(4).tolist()) for name in "abcd"]
+    assert compare(blocks_of(entries), "fid_delta") == compare(blocks_of(entries[::-1]), "fid_delta")
+
+
+def test_what_cannot_be_paired_is_refused(entry: Entry) -> None:
+    one = like(entry, "a", [0.0] * 4)
+    (cell,) = one.results
+    other = cell.model_copy(
+        update={"episodes": tuple(row.model_copy(update={"seed": row.seed + 1}) for row in cell.episodes)}
+    )
+    fewer = entry.protocol.model_copy(update={"timesteps": 1})
+    refused: list[tuple[list[Entry], str]] = [
+        ([one, like(entry, "b", [0.0] * 4, results=(other,))], "different states"),
+        ([one, like(entry, "b", [0.0] * 4, protocol=fewer)], "different states or by different protocols"),
+        ([one, one], "two entries are of 'a'"),
+        ([one], "needs two explainers, got a"),
+        ([one, like(entry, "b", [0.0] * 4, policy="another")], "no entry on"),
+    ]
+    for entries, said in refused:
+        with pytest.raises(InputError, match=said):
+            blocks_of(entries)
+
+
+def test_metrics_that_are_not_there_are_refused(entry: Entry) -> None:
+    blocks = blocks_of([like(entry, "a", [None] * 4), like(entry, "b", [0.0] * 4)])
+    with pytest.raises(InputError, match="fid_delta is not a number in any episode of 'a'"):
+        compare(blocks, "fid_delta")
+    with pytest.raises(InputError, match="success_on_explanation was not measured for"):
+        compare(blocks, "success_on_explanation")
+    with pytest.raises(InputError, match=r"'makespan' compares nothing.*comm_budgeted_fidelity"):
+        compare(blocks, "makespan")
+    assert "comm_budgeted_fidelity" in METRICS
+
+
+def test_names_mean_the_states_that_all_share(entry: Entry) -> None:
+    few = entry.protocol.model_copy(update={"timesteps": 1})
+    both = [like(entry, "fast", [0.0] * 4), like(entry, "fast", [0.0] * 4, protocol=few)]
+    slow = like(entry, "slow", [0.0] * 4, protocol=few)
+    assert {each.protocol.timesteps for each in shared_states([*both, slow])} == {1}
+    with pytest.raises(InputError, match="no states were explained by all of fast, slow"):
+        shared_states([both[0], slow])
+
+
+def test_the_command(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
+    folder = tmp_path / "entries"
+    files = [
+        write_entry(folder, like(entry, name, [value, value + 0.1, value, value]))
+        for name, value in (("one", 0.1), ("two", 0.2))
+    ]
+    plot = tmp_path / "picture.png"
+    ran = run_cli("compare", *files, "--metric", "fid_delta", "--metric", "gef", "--plot", plot)
+    assert ran.code == 0, ran.err
+    assert "two - one" in ran.out
+    with Image.open(plot) as picture:
+        assert picture.width > 1000
+        assert len(set(picture.convert("L").tobytes())) > 10
+    as_json = run_cli("compare", "one", "two", "--entries", folder, "--metric", "fid_delta", "--json")
+    (record,) = json.loads(as_json.out)
+    assert [each["explainer"] for each in record["standings"]] == ["two", "one"]
+    assert record["pairs"][0]["difference"]["value"] == pytest.approx(0.1)
+
+
+def test_bad_input_is_one_sentence(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
+    folder = tmp_path / "entries"
+    file = write_entry(folder, like(entry, "one", [0.1] * 4))
+    for arguments, said in [
+        ((file, tmp_path / "missing.json"), "missing.json"),
+        (("one", "tow", "--entries", folder), "'tow' is neither"),
+        ((file, file), "needs two explainers"),
+        ((file, "--plot", "picture.bmp"), "end its name in one of"),
+    ]:
+        ran = run_cli("compare", *arguments)
+        assert (ran.code, ran.out, len(ran.err.splitlines())) == (2, "", 1), ran
+        assert said in ran.err
+
+
+def test_files_are_taken_as_they_are(entry: Entry, tmp_path: Path) -> None:
+    few = entry.protocol.model_copy(update={"timesteps": 1})
+    pair = like(entry, "a", [0.0] * 4), like(entry, "b", [0.0] * 4, protocol=few)
+    files = [str(write_entry(tmp_path, each)) for each in pair]
+    with pytest.raises(InputError, match="different states"):
+        blocks_of(read_named(files, tmp_path))

@@ -1,0 +1,316 @@
+"""What people bring becomes an explainer, by one documented rule, or is refused in one sentence."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch_geometric.explain import (
+    AttentionExplainer,
+    CaptumExplainer,
+    DummyExplainer,
+    ExplainerAlgorithm,
+    GNNExplainer,
+    GraphMaskExplainer,
+    PGExplainer,
+)
+
+from tests.conftest import MakeBundle
+from tests.policies import random_observations, small_policy
+from xmarl_bench import as_explainer, score
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.adapters import code_of, kebab
+from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
+from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
+from xmarl_bench.plugins.registry import as_found
+from xmarl_bench.policy import Policy
+
+QUICK = {"episodes": 2, "timesteps": 2, "max_cycles": 5, "behaviour_episodes": 0}
+POLICY, OBSERVATIONS = small_policy(6), random_observations(4, 3, 6)
+
+
+def attended(observations: Tensor, policy: Policy) -> Tensor:
+    """What the layer attends to.
+
+    Not shown in lists.
+    """
+    return policy.attention(observations)
+
+
+def swapped(policy: Policy, observations: Tensor) -> Tensor:
+    return policy.attention(observations)
+
+
+def drawn(observations: Tensor, generator: torch.Generator) -> Tensor:
+    n_steps, n_agents, _ = observations.shape
+    return torch.rand(n_steps, n_agents, n_agents, generator=generator)
+
+
+def run(thing: object, seed: int = 0, **declared: Any) -> Tensor:
+    return run_explainer(as_explainer(thing, **declared), POLICY, OBSERVATIONS, seed)
+
+
+def test_parameters_are_told_apart_by_name() -> None:
+    expected = POLICY.attention(OBSERVATIONS)
+    for explain in (
+        attended,
+        swapped,
+        lambda policy, temperature=1.0, *, observations: attended(observations, policy),
+    ):
+        assert torch.equal(run(explain), expected)
+    assert not torch.equal(run(drawn, 0), run(drawn, 1))
+    assert torch.equal(run(drawn, 1), run(drawn, 1))
+
+
+@pytest.mark.parametrize(
+    ("explain", "said"),
+    [
+        (lambda obs, net: obs, r"takes \(obs, net\): name its parameters policy, observations"),
+        (lambda observations, policy, seed: observations, r"takes \(observations, policy, seed\)"),
+        (lambda: None, r"takes \(nothing\)"),
+        (max, "parameters"),
+        (7, "a int explains nothing"),
+        ("attention", "a str explains nothing"),
+    ],
+)
+def test_what_cannot_be_called_so_is_refused(explain: object, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        as_explainer(explain)
+
+
+def test_the_decorator_declares() -> None:
+    @as_explainer
+    def plain(observations: Tensor) -> Tensor:
+        return torch.zeros(1)
+
+    @as_explainer(name="mine", stochastic=True, hyperparameters={"k": 3}, accesses="attention")
+    def declared(observations: Tensor) -> Tensor:
+        return torch.zeros(1)
+
+    assert (plain.name, plain.stochastic, plain.accesses) == ("plain", False, None)
+    assert (declared.name, declared.stochastic, declared.accesses) == ("mine", True, "attention")
+    assert declared.hyperparameters == {"k": 3}
+    assert as_explainer(attended).summary == "What the layer attends to."
+    assert as_explainer(plain) is plain
+
+
+@pytest.mark.parametrize(
+    ("declared", "said"),
+    [
+        ({"stochastc": True}, "declares 'stochastc': choose among name"),
+        ({"stochastic": 1}, "stochastic = 1: give True or False"),
+        ({"accesses": "weights"}, "accesses = 'weights': give one of black-box, attention, gradients"),
+        ({"hyperparameters": {"layers": [1, 2]}}, "give a dict of names and numbers"),
+        ({"name": 3}, "name = 3: give a string"),
+        ({"needs_fit": True}, "give it a method fit"),
+    ],
+)
+def test_declarations_that_are_none_are_refused(declared: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        as_explainer(attended, **declared)
+    with pytest.raises(InputError, match="run the network itself"):
+        as_explainer(GNNExplainer(), accesses="black-box")
+    with pytest.raises(InputError, match="is made already"):
+        as_explainer(as_explainer(attended), slow=True)
+
+
+@dataclass
+class Tempered:
+    """Attention, flattened."""
+
+    temperature: float = 2.0
+    accesses = "attention"
+
+    def explain(self, observations: Tensor, policy: Policy) -> Tensor:
+        return policy.attention(observations) ** (1 / self.temperature)
+
+
+def test_classes_and_objects_explain_and_declare() -> None:
+    explainer = as_explainer(Tempered)
+    assert (explainer.name, explainer.accesses) == ("tempered", "attention")
+    assert explainer.hyperparameters == {"temperature": 2.0}
+    torch.testing.assert_close(run(Tempered), POLICY.attention(OBSERVATIONS).sqrt())
+    torch.testing.assert_close(run(Tempered(1.0)), POLICY.attention(OBSERVATIONS))
+    assert as_explainer(Tempered, accesses=None, name="x").accesses is None
+
+    class NeedsMore:
+        def __init__(self, depth: int) -> None:
+            self.depth = depth
+
+    with pytest.raises(InputError, match="'NeedsMore' cannot be made without arguments"):
+        as_explainer(NeedsMore)
+
+
+def test_not_batched_is_called_for_one_timestep_at_a_time() -> None:
+    shapes: list[tuple[int, ...]] = []
+
+    def one(observations: Tensor, policy: Policy, generator: torch.Generator) -> Tensor:
+        shapes.append(tuple(observations.shape))
+        return policy.attention(observations[None])[0] * torch.rand((), generator=generator)
+
+    mask = run(one, batched=False, stochastic=True)
+    assert shapes == [(3, 6)] * 4
+    scale = mask.sum(dim=-1)[:, 0]
+    assert len(set(scale.tolist())) == 4  # a stream of random numbers for each timestep
+    torch.testing.assert_close(mask, POLICY.attention(OBSERVATIONS) * scale[:, None, None])
+    with pytest.raises(InputError, match=r"shape \(4, 3, 3\), expected \(3, 3\)"):
+        run(lambda observations: torch.ones(4, 3, 3), batched=False)
+
+
+def test_signed_is_normalised_by_the_harness_and_recorded(make_bundle: MakeBundle) -> None:
+    def signed(observations: Tensor) -> Tensor:
+        return 100 * (observations[:, :, None, 0] - observations[:, None, :, 1])
+
+    torch.testing.assert_close(run(signed, signed=True), signed_to_unit(signed(OBSERVATIONS)))
+    with pytest.raises(InputError, match="scale them"):
+        run(signed)
+    with pytest.raises(InputError, match="NaN or infinity"):
+        run(lambda observations: torch.full((4, 3, 3), math.nan), signed=True)
+    entry = score(make_bundle(), as_explainer(signed, signed=True), **QUICK)  # type: ignore[arg-type]
+    assert entry.explainer.signed == NORMALISER
+
+
+def test_binary_is_held_to_it() -> None:
+    assert set(run(lambda observations: torch.eye(3).expand(4, 3, 3), binary=True).unique().tolist()) == {
+        0,
+        1,
+    }
+    with pytest.raises(InputError, match="declares binary masks"):
+        run(attended, binary=True)
+
+
+def test_a_black_box_only_answers() -> None:
+    seen: list[Policy] = []
+
+    def explain(observations: Tensor, policy: Policy) -> Tensor:
+        seen.append(policy)
+        kept = torch.rand(len(observations), 3, 3)
+        answered = policy.distribution(observations, kept.requires_grad_())
+        assert torch.equal(answered.loc, POLICY.distribution(observations, kept).loc)
+        edges = torch.tensor([[0, 1, 2, 1], [0, 1, 2, 0]])
+        assert torch.equal(policy(observations[0], edges), POLICY(observations[0], edges))
+        assert not answered.loc.requires_grad
+        assert not list(policy.parameters())
+        assert not list(policy.children())
+        return torch.ones(len(observations), 3, 3)
+
+    run(explain, accesses="black-box")
+    assert not hasattr(seen[0], "gat")
+    with pytest.raises(InputError, match="attention was asked for, but is not among the accesses declared"):
+        run(attended, accesses="black-box")
+    assert torch.equal(run(attended, accesses="attention"), run(attended))
+
+
+class Learner:
+    """Learns the mean of what it is fitted on."""
+
+    needs_fit = True
+
+    def fit(self, observations: Tensor, policy: Policy, generator: torch.Generator) -> None:
+        self.mean = observations.mean()
+        self.noise = torch.rand((), generator=generator)
+
+    def explain(self, observations: Tensor) -> Tensor:
+        return torch.sigmoid(self.mean + self.noise).expand(len(observations), 3, 3)
+
+
+def test_what_learns_is_fitted_first_and_on_a_copy() -> None:
+    mine = Learner()
+    explainer = as_explainer(mine)
+    with pytest.raises(InputError, match="'learner' has to be fitted first"):
+        run_explainer(explainer, POLICY, OBSERVATIONS, 0)
+    one, same, other = (fit_explainer(explainer, POLICY, OBSERVATIONS, seed) for seed in (1, 1, 2))
+    masks = [run_explainer(each, POLICY, OBSERVATIONS, 0) for each in (one, same, other)]
+    assert torch.equal(masks[0], masks[1])
+    assert not torch.equal(masks[0], masks[2])
+    assert not hasattr(mine, "mean")
+    assert fit_explainer(as_explainer(attended), POLICY, OBSERVATIONS, 0) == as_explainer(attended)
+
+    class Fails(Learner):
+        def fit(self, observations: Tensor) -> None:  # type: ignore[override]
+            raise RuntimeError("too little")
+
+    with pytest.raises(InputError, match=r"'fails' failed on 4 timesteps to be fitted on .*too little"):
+        fit_explainer(as_explainer(Fails), POLICY, OBSERVATIONS, 0)
+
+
+ALGORITHMS: dict[str, Callable[[], ExplainerAlgorithm]] = {
+    "gnn-explainer": lambda: GNNExplainer(epochs=3, edge_size=0.25),
+    "dummy-explainer": DummyExplainer,
+    "attention-explainer": AttentionExplainer,
+    "graph-mask-explainer": lambda: GraphMaskExplainer(1, epochs=2, log=False),
+    "pg-explainer": lambda: PGExplainer(epochs=1),
+    "captum-saliency": lambda: CaptumExplainer("Saliency"),
+    "captum-input-x-gradient": lambda: CaptumExplainer("InputXGradient"),
+    "captum-integrated-gradients": lambda: CaptumExplainer("IntegratedGradients", n_steps=5),
+}
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_algorithms_of_pyg_and_captum_are_taken_as_they_are(name: str) -> None:
+    torch.manual_seed(len(name))  # what an algorithm draws when it is made must not matter
+    explainer = as_explainer(ALGORITHMS[name]())
+    assert explainer.name == name
+    assert explainer.signed == name.startswith("captum")
+    masks = []
+    for each in (explainer, as_explainer(ALGORITHMS[name]())):
+        ready = fit_explainer(each, POLICY, OBSERVATIONS[:2], 5)
+        masks.append(run_explainer(ready, POLICY, OBSERVATIONS, 7))
+    assert torch.equal(masks[0], masks[1])
+    assert float(masks[0].std()) > 0 or "mask" in name
+    found = as_found(explainer)
+    assert found.distribution == "torch-geometric"
+    assert found.entry_point.endswith(f":{type(ALGORITHMS[name]()).__name__}")
+
+
+def test_settings_of_an_algorithm_are_recorded_and_its_own() -> None:
+    one = as_explainer(GraphMaskExplainer(1, epochs=2, log=False, node_feat_size=3.0))
+    GraphMaskExplainer(1, node_feat_size=77.0)  # PyG keeps these on the class
+    assert one.hyperparameters["node_feat_size"] == 3.0
+    assert one.explain.algorithm().coeffs["node_feat_size"] == 3.0  # type: ignore[attr-defined]
+    assert as_explainer(GNNExplainer(epochs=3, edge_size=0.25)).hyperparameters.items() >= {
+        "epochs": 3, "lr": 0.01, "edge_size": 0.25,
+    }.items()  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "thing", [attended, Tempered, GNNExplainer(epochs=2), PGExplainer(epochs=1), Learner]
+)
+def test_explainers_go_to_worker_processes(thing: object) -> None:
+    explainer = fit_explainer(as_explainer(thing), POLICY, OBSERVATIONS[:2], 0)
+    again: Explainer = pickle.loads(pickle.dumps(explainer))
+    expected = run_explainer(explainer, POLICY, OBSERVATIONS, 1)
+    assert torch.equal(run_explainer(again, POLICY, OBSERVATIONS, 1), expected)
+
+
+def test_what_was_brought_is_known_by_its_source(make_bundle: MakeBundle) -> None:
+    for thing in (attended, Tempered, Tempered(), Tempered().explain):
+        found = as_found(thing)
+        assert found.entry_point == f"{__name__}:{'attended' if thing is attended else 'Tempered'}", found
+        assert found.code_sha256 is not None
+    assert as_found(attended).code_sha256 != as_found(swapped).code_sha256
+    assert code_of(as_explainer(attended)) is attended
+    assert score(make_bundle(), attended, **QUICK).explainer.code_sha256 == as_found(attended).code_sha256  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="has the name of a control"):
+        as_found(replace(as_explainer(attended), name="random"))
+    with pytest.raises(InputError, match="cannot be part of a file name"):
+        as_found(replace(as_explainer(attended), name="../x"))
+
+
+@pytest.mark.parametrize(
+    ("name", "kebabed"),
+    [
+        ("GNNExplainer", "gnn-explainer"),
+        ("my_own", "my_own"),
+        ("Nearest2First", "nearest2-first"),
+        ("<lambda>", "lambda"),
+    ],
+)
+def test_names_for_files(name: str, kebabed: str) -> None:
+    assert kebab(name) == kebabed

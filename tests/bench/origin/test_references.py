@@ -1,0 +1,129 @@
+"""`path/to/file.py:Name` and `module:Name`: what is loaded, what is recorded of it, what is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import MakeBundle, RunCli
+from xmarl_bench.entry.file import read_entries
+from xmarl_bench.errors import InputError
+from xmarl_bench.origin.references import is_reference, load_reference, origin_of
+from xmarl_bench.plugins.registry import find_explainer
+
+CODE = '''
+from __future__ import annotations
+from dataclasses import dataclass
+import torch
+
+def nearest(observations, policy):
+    """The nearer, the more it matters."""
+    return torch.exp(-torch.cdist(observations[..., :2], observations[..., :2]))
+
+@dataclass
+class Scaled:
+    scale: float = 0.5
+    accesses = "black-box"
+
+    def explain(self, observations):
+        return self.scale * nearest(observations, None)
+
+half = Scaled(0.25)
+'''
+QUICK = ("--episodes", 2, "--max-cycles", 6, "--timesteps", 2, "--behaviour-episodes", 0)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "own.py"
+    path.write_text(CODE)
+    return path
+
+
+def test_functions_classes_and_objects_of_a_file(file: Path) -> None:
+    digest = hashlib.sha256(CODE.encode()).hexdigest()
+    for name, known, scale in (
+        ("nearest", "nearest", None),
+        ("Scaled", "scaled", 0.5),
+        ("half", "scaled", 0.25),
+    ):
+        found = find_explainer(f"{file}:{name}")
+        assert (found.explainer.name, found.entry_point) == (known, f"own.py:{name}")
+        assert (found.distribution, found.version, found.code_sha256) == (None, None, digest)
+        assert found.explainer.hyperparameters.get("scale") == scale
+
+
+def test_a_module_is_known_by_its_package() -> None:
+    found = find_explainer("torch_geometric.explain:DummyExplainer")
+    assert found.explainer.name == "dummy-explainer"
+    assert (found.distribution, found.code_sha256) == ("torch-geometric", None)
+    assert origin_of(Path).sha256 is None or origin_of(Path).distribution is None
+    assert not is_reference("attention")
+
+
+def test_a_changed_file_is_loaded_again(file: Path) -> None:
+    first, origin = load_reference(f"{file}:half")
+    file.write_text(CODE.replace("0.25", "0.75"))
+    second, changed = load_reference(f"{file}:half")
+    assert (first.scale, second.scale) == (0.25, 0.75)
+    assert origin.sha256 != changed.sha256
+
+
+def test_two_files_of_one_name_do_not_mix(file: Path, tmp_path: Path) -> None:
+    other = tmp_path / "deeper" / "own.py"
+    other.parent.mkdir()
+    other.write_text(CODE.replace("0.25", "0.75"))
+    scales = [load_reference(f"{path}:half")[0].scale for path in (file, other, file)]
+    assert scales == [0.25, 0.75, 0.25]
+
+
+def test_a_file_takes_no_modules_place(file: Path) -> None:
+    named = file.with_name("json.py")
+    named.write_text(CODE)
+    found = find_explainer(f"{named}:half")
+    assert found.entry_point == "json.py:half"
+    assert sys.modules["json"] is json
+
+
+@pytest.mark.parametrize(
+    ("reference", "said"),
+    [
+        ("{folder}/missing.py:x", "cannot be read"),
+        ("{folder}/own.py:nothing", "has no 'nothing': give one of nearest, Scaled"),
+        ("{folder}/own.py:", "names no object"),
+        (":x", "names no object"),
+        ("no_such_module:x", "ModuleNotFoundError"),
+        ("{folder}/broken.py:x", r"failed to load \(ZeroDivisionError"),
+        ("{folder}/stops.py:x", r"failed to load \(SystemExit"),
+        ("math:pi", "a float explains nothing"),
+        ("math:sqrt", "name its parameters"),
+    ],
+)
+def test_what_does_not_load_is_one_sentence(reference: str, said: str, file: Path) -> None:
+    (file.parent / "broken.py").write_text("1 / 0\n")
+    (file.parent / "stops.py").write_text("raise SystemExit(3)\n")
+    with pytest.raises(InputError, match=said) as raised:
+        find_explainer(reference.format(folder=file.parent))
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.slow
+def test_a_file_is_scored_in_worker_processes_and_recorded(
+    run_cli: RunCli, make_bundle: MakeBundle, file: Path, tmp_path: Path
+) -> None:
+    ran = run_cli(
+        "score", "--policy", make_bundle(), "--explainer", f"{file}:nearest", "--explainer", f"{file}:half",
+        *QUICK, "--jobs", 2, "--out", tmp_path / "board",
+    )  # fmt: skip
+    assert ran.code == 0, ran.err
+    entries = {entry.explainer.name: entry.explainer for _, entry in read_entries(tmp_path / "board/entries")}
+    assert {name: each.entry_point for name, each in entries.items()} == {
+        "nearest": "own.py:nearest",
+        "scaled": "own.py:half",
+    }
+    assert entries["scaled"].code_sha256 == hashlib.sha256(CODE.encode()).hexdigest()
+    assert entries["scaled"].accesses == "black-box"

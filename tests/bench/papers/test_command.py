@@ -1,0 +1,149 @@
+"""`xmarl-bench study` end to end, on random policies and fast explainers."""
+
+from __future__ import annotations
+
+import builtins
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.conftest import MakeBundle, RunCli
+from tests.policies import small_policy
+from xmarl_bench.papers.kailas2025 import plan
+from xmarl_bench.policy import save_policy
+
+SMALL = ("--episodes", 3, "--timesteps", 2, "--max-cycles", 6)
+
+
+@pytest.fixture(autouse=True)
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ledgers' explainers optimise for seconds: two that do not stand in for them."""
+    monkeypatch.setattr(plan, "EXPLAINERS", ("attention", "attention-rowmax"))
+
+
+def bundle(
+    tmp_path: Path, name: str, *, attention_entropy: float, seed: int = 0, percent: int | None = None
+) -> Path:
+    folder = tmp_path / "policies" / name
+    save_policy(
+        folder,
+        small_policy(6, seed + int(10 * attention_entropy)),
+        name=name,
+        task="blind_navigation_v0",
+        n_agents=3,
+        attention_entropy=attention_entropy,
+        training_seed=seed,
+        training={} if percent is None else {"percent": percent},
+    )
+    return folder
+
+
+def run(run_cli: RunCli, study: str, folders: list[Path], out: Path, *more: object) -> Any:
+    policies = [argument for folder in folders for argument in ("--policy", folder)]
+    return run_cli("study", study, *policies, *SMALL, *more, "--out", out)
+
+
+def test_the_main_study(run_cli: RunCli, tmp_path: Path) -> None:
+    folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.2)]
+    out = tmp_path / "study"
+    ran = run(run_cli, "main", folders, out, "--no-figures")
+    assert ran.code == 0, ran.err
+    results = json.loads((out / "results.json").read_text())
+    assert [policy["name"] for policy in results["policies"]] == ["p0.0", "p0.2"]
+    improved = next(claim for claim in results["ledger"] if claim["id"] == "main-attention-fid-delta")
+    assert improved["overall"][0]["n_policies"] == 1
+    assert improved["overall"][0]["n_episodes"] == 3
+    assert "missing: passage, N = 3, with the term" in ran.out
+    assert "35 statements of the paper: " in ran.out
+    before = (out / "results.json").read_bytes()
+    again = run(run_cli, "main", folders, out, "--no-figures")
+    assert again.code == 0, again.err
+    assert again.err == ""
+    assert (out / "results.json").read_bytes() == before
+
+
+def test_the_study_along_training_takes_checkpoints_alone(run_cli: RunCli, tmp_path: Path) -> None:
+    folders = [
+        bundle(tmp_path, f"p{x}-at{percent}", attention_entropy=x, percent=percent)
+        for percent in (20, 80)
+        for x in (0.0, 0.2)
+    ]
+    finished = bundle(tmp_path, "finished", attention_entropy=0.0)
+    out = tmp_path / "study"
+    ran = run(run_cli, "training", [*folders, finished], out, "--no-figures")
+    assert ran.code == 0, ran.err
+    results = json.loads((out / "results.json").read_text())
+    assert {(policy["name"], policy["percent"]) for policy in results["policies"]} == {
+        ("p0.0-at20", 20), ("p0.2-at20", 20), ("p0.0-at80", 80), ("p0.2-at80", 80),
+    }  # fmt: skip
+    grows = next(claim for claim in results["ledger"] if claim["id"] == "training-attention-grows")
+    assert grows["counts"]["not measured"] == 0
+    assert "navigation, N = 3, 50 % of training, without the term" in results["missing"]
+
+
+def test_the_zero_shot_study_adds_agents(run_cli: RunCli, tmp_path: Path) -> None:
+    folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.2)]
+    out = tmp_path / "study"
+    ran = run(run_cli, "zero-shot", folders, out, "--no-figures")
+    assert ran.code == 0, ran.err
+    results = json.loads((out / "results.json").read_text())
+    assert [policy["n_tested"] for policy in results["policies"]] == [4, 5, 6] * 2
+    assert "navigation, N = 3, tested with 6" in {each["cell"] for each in results["quality"]}
+
+
+def test_figures_need_matplotlib(run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *rest: Any, **options: Any) -> Any:
+        if name.startswith("matplotlib"):
+            raise ImportError(name)
+        return real(name, *rest, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    ran = run(run_cli, "main", [bundle(tmp_path, "p", attention_entropy=0.0)], tmp_path / "study")
+    assert_refused(ran, "pip install 'xmarl-bench[plots]'")
+    assert not (tmp_path / "study").exists()
+
+
+def test_bad_input_is_one_sentence(run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path) -> None:
+    out = tmp_path / "study"
+    one = bundle(tmp_path, "one", attention_entropy=0.0)
+    twin = bundle(tmp_path, "twin", attention_entropy=0.0)
+    assert_refused(run(run_cli, "main", [one, twin], out, "--no-figures"), "'one' and 'twin'")
+    assert_refused(
+        run(run_cli, "main", [one], out, "--no-figures", "--behaviour", "x"), "unknown explainer 'x'"
+    )
+    assert_refused(run(run_cli, "training", [one], out, "--no-figures"), "belongs to the study 'training'")
+    assert_refused(run(run_cli, "main", [one], out, "--no-figures", "--explainer", "no"), "unknown explainer")
+    assert run(run_cli, "other", [one], out).code == 2
+    assert not out.exists()
+
+
+def assert_refused(ran: Any, said: str) -> None:
+    assert ran.code == 2, ran
+    assert len(ran.err.splitlines()) == 1, ran.err
+    assert said in ran.err
+
+
+@pytest.mark.slow
+def test_every_explainer_of_the_ledgers(
+    run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The real ones, and the same bytes by two processes."""
+    monkeypatch.undo()
+    folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.2)]
+    arguments = ("--episodes", 1, "--timesteps", 1, "--max-cycles", 3, "--no-figures")
+    policies = [argument for folder in folders for argument in ("--policy", folder)]
+    written = []
+    for jobs in (1, 2):
+        out, cells = tmp_path / f"jobs{jobs}", tmp_path / f"cells{jobs}"
+        folders_of_run = ("--out", out, "--cells", cells)
+        ran = run_cli("study", "main", *policies, *arguments, "--jobs", jobs, *folders_of_run)
+        assert ran.code == 0, ran.err
+        written.append((out / "results.json").read_bytes())
+    assert written[0] == written[1]
+    results = json.loads(written[0])
+    assert len(results["explainers"]) == 6
+    assert all(lens["claims"] for lens in results["lenses"])

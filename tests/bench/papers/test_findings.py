@@ -1,0 +1,119 @@
+"""docs/findings.md is what its data says, and its data is of the policies that are shipped."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.bench.made_samples import made_samples
+from tests.conftest import RunCli
+from xmarl_bench.entry.protocol import PROTOCOL
+from xmarl_bench.errors import InputError
+from xmarl_bench.papers.kailas2025.claims import ATTENTION, GNN, Cell, Claim, beats
+from xmarl_bench.papers.kailas2025.findings import (
+    DATA,
+    PAGE,
+    command,
+    findings_of,
+    main,
+    numbers,
+    page_of,
+    sentence,
+    survival,
+)
+from xmarl_bench.papers.kailas2025.ledger import Judge
+from xmarl_bench.papers.kailas2025.plan import STUDIES
+from xmarl_bench.papers.kailas2025.results import judged_record
+from xmarl_bench.plugins.registry import find_policies
+from xmarl_bench.policy.bundle import load_card
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def findings() -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads((DOCS / DATA).read_bytes())
+    return found
+
+
+def test_the_page_is_not_stale() -> None:
+    """If it fails: python -m xmarl_bench.papers.kailas2025.findings, after the studies were run again."""
+    assert (DOCS / PAGE).read_text(encoding="utf-8") == page_of(findings())
+
+
+def test_the_numbers_are_of_the_shipped_policies() -> None:
+    """Where this fails, policies were replaced: run the studies again, and make the page of them."""
+    shipped = {name: load_card(folder).weights_sha256 for name, folder in find_policies().items()}
+    for study in findings():
+        assert study["protocol"]["id"] == PROTOCOL
+        for policy in study["policies"]:
+            assert shipped.get(policy["name"]) == policy["weights_sha256"], policy["name"]
+
+
+def test_every_statement_is_on_the_page() -> None:
+    text = (DOCS / PAGE).read_text(encoding="utf-8")
+    for study in findings():
+        assert [claim["id"] for claim in study["ledger"]] == [
+            claim.id for claim in STUDIES[study["study"]].claims
+        ]
+        for claim in [*study["ledger"], *study["beyond"]]:
+            assert sentence(claim) in text
+        assert command(study) in text
+
+
+CELLS = tuple(Cell("blind_navigation_v0", n) for n in (3, 4))
+
+
+def record(level: float, metric: str = "fid_delta") -> dict[str, Any]:
+    """Attention `level` above GNNExplainer."""
+    judge = Judge(made_samples(CELLS, (ATTENTION, GNN), lambda c, name, r, m: level * (name == ATTENTION)))
+    claim = Claim("x", "7", "here", "Attention is better", CELLS, (beats(ATTENTION, GNN, metric),))
+    return judged_record(judge.judge(claim), cells=False)
+
+
+def test_a_sentence_has_its_place_and_its_numbers() -> None:
+    text = sentence(record(0.3))
+    assert text.startswith("Attention is better (line 7; asked of most cells): of 2 cells 2 held; FidDelta, ")
+    assert "attention against gnn_explainer: +0.3" in text
+    assert "effect +" in text
+    assert text.endswith(", p < 0.001, 12 policies.")
+    assert numbers(record(0.0)).startswith("of 2 cells 2 not decided")
+
+
+@pytest.mark.parametrize(("level", "kind"), [(0.3, "held"), (-0.3, "reversed"), (0.0, "open")])
+def test_survival_counts_the_lenses(level: float, kind: str) -> None:
+    seen = record(level, "budgeted_fidelity")
+    lenses = [{"name": "a lens", "claims": [seen]}, {"name": "another", "claims": []}]
+    (survived,) = survival({"ledger": [record(0.3)], "lenses": lenses})
+    assert survived["n"] == 1
+    assert {each: len(survived[each]) for each in ("held", "reversed", "open")} == {
+        "held": 0, "reversed": 0, "open": 0, kind: 1,
+    }  # fmt: skip
+    assert survival({"ledger": [record(-0.3)], "lenses": lenses}) == []
+
+
+def test_made_of_a_folder(tmp_path: Path) -> None:
+    judged = [record(0.3)]
+    results = {
+        "schema": 1, "study": "main", "title": "A title", "policies": [], "missing": ["passage, N = 5"],
+        "protocol": {"id": PROTOCOL, "episodes": 4, "timesteps": 3, "seeds": [0, 3]}, "performance": [],
+        "ledger": judged, "beyond": [], "lenses": [{"name": "a lens", "text": "seen so", "claims": judged}],
+    }  # fmt: skip
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "results.json").write_text(json.dumps(results))
+    main([tmp_path / "study"], tmp_path)
+    page = (tmp_path / PAGE).read_text()
+    assert json.loads((tmp_path / DATA).read_text()) == [json.loads(json.dumps(findings_of(results)))]
+    assert "## A title" in page
+    assert "### Held: 1 of 1" in page
+    assert "Attention is better: **survives**, held through the one lens that touches it" in page
+    assert "Missing: passage, N = 5." in page
+    assert "xmarl-bench study main --jobs 2 --episodes 4 --timesteps 3\n" in page
+    with pytest.raises(InputError, match="run `xmarl-bench study` first"):
+        main([tmp_path / "none"], tmp_path)
+
+
+def test_the_command_says_what_to_do(run_cli: RunCli) -> None:
+    assert "zero-shot" in run_cli("study", "--help").out

@@ -1,0 +1,93 @@
+"""Fan-out on real clusters, of Ray and of Dask: a head on loopback and two worker processes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from tests.bench import units_of_work
+from tests.bench.clusters import dask_cluster, ray_cluster
+from tests.bench.units_of_work import entries, kill_worker_once, some_rollouts
+from tests.conftest import MakeBundle
+from xmarl_bench.errors import InputError
+from xmarl_bench.parallel.fan_out import Failure, fan_out, in_order
+from xmarl_bench.parallel.workers import BackendName, Workers
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def ray() -> Iterator[str]:
+    with ray_cluster() as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def dask() -> Iterator[str]:
+    with dask_cluster() as address:
+        yield address
+
+
+@pytest.fixture(params=["ray", "dask"])
+def workers(request: pytest.FixtureRequest) -> Workers:
+    backend: BackendName = request.param
+    return Workers(None, backend, request.getfixturevalue(backend))
+
+
+def test_two_processes_compute(workers: Workers, tmp_path: Path) -> None:
+    units = [str(tmp_path)] * 30
+    pids = {pid for _, pid in fan_out(units_of_work.process_beside_another, units, workers=workers)}
+    assert len(pids) == 2
+
+
+def test_results_are_those_of_one_process_though_a_worker_was_killed(
+    workers: Workers, tmp_path: Path
+) -> None:
+    rollouts = some_rollouts()
+    expected = [rollout.play() for rollout in rollouts]
+    units = [(rollout, tmp_path / "killed" if k == 2 else None) for k, rollout in enumerate(rollouts)]
+    played = list(in_order(kill_worker_once, units, workers=workers))
+    assert (tmp_path / "killed").exists()
+    assert units_of_work.to_the_bit(played) == units_of_work.to_the_bit(expected)
+
+
+def test_entries_are_those_of_one_process(workers: Workers, make_bundle: MakeBundle) -> None:
+    bundle = make_bundle()
+    assert entries(bundle, workers) == entries(bundle, Workers())
+
+
+def test_failures_stay_alone(workers: Workers) -> None:
+    returned = dict(fan_out(units_of_work.fail, [0, 1, 2, 3, 4, 5], workers=workers))
+    errors = {k: each.error for k, each in returned.items() if isinstance(each, Failure)}
+    assert (returned[0], returned[5], sorted(errors)) == (0, 5, [1, 2, 3, 4])
+    assert errors[1] == "a sentence of its own."
+
+
+def test_jobs_bounds_what_is_under_way(workers: Workers) -> None:
+    one = Workers(1, workers.backend, workers.address)
+    times = sorted(in_order(units_of_work.started_and_ended, range(6), workers=one))
+    assert all(ended <= started for (_, ended), (started, _) in pairwise(times))
+
+
+@pytest.mark.parametrize("backend", ["ray", "dask"])
+def test_a_unit_that_kills_its_workers_is_a_failure_at_last(
+    backend: BackendName, request: pytest.FixtureRequest
+) -> None:
+    """On Dask's workers of this machine: that one is given no second chance by a scheduler's own counting."""
+    workers = (
+        Workers(2, "dask") if backend == "dask" else Workers(None, "ray", request.getfixturevalue("ray"))
+    )
+    returned = dict(fan_out(units_of_work.kill_worker, range(6), workers=workers))
+    failure = returned.pop(3)
+    assert isinstance(failure, Failure)
+    assert failure.error.startswith("its worker died twice")
+    assert returned == {k: k for k in range(6) if k != 3}
+
+
+def test_dask_workers_with_several_threads_are_refused() -> None:
+    said = "has 2 threads, and each unit needs a process of its own"
+    with dask_cluster("--nworkers", "1", "--nthreads", "2") as address, pytest.raises(InputError, match=said):
+        list(fan_out(units_of_work.square, [1], workers=Workers(None, "dask", address)))

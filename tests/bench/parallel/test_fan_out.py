@@ -1,0 +1,236 @@
+"""Fan-out on this machine: what comes back, from which processes, and what if units or workers fail."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from joblib import Parallel, delayed
+
+from tests.bench import units_of_work
+from xmarl_bench.errors import InputError
+from xmarl_bench.parallel.fan_out import Failure, WorkerDiedError, fan_out, in_order
+from xmarl_bench.parallel.joblib_backends import AHEAD
+from xmarl_bench.parallel.workers import Workers
+
+TWO = Workers(2)
+BOTH = pytest.mark.parametrize("workers", [Workers(), TWO], ids=["here", "two"])
+
+
+@BOTH
+def test_every_unit_comes_back_once_with_its_index(workers: Workers) -> None:
+    returned = list(fan_out(units_of_work.square, range(2, 30), workers=workers))
+    assert sorted(returned) == [(k, (k + 2) ** 2) for k in range(28)]
+    assert list(fan_out(units_of_work.square, [], workers=workers)) == []
+    assert list(in_order(units_of_work.square, range(28), workers=workers)) == [k * k for k in range(28)]
+
+
+def test_one_process_is_this_one_and_two_are_two_others(tmp_path: Path) -> None:
+    assert {pid for _, pid in fan_out(units_of_work.process, range(3))} == {os.getpid()}
+    units = [str(tmp_path)] * 20
+    pids = {pid for _, pid in fan_out(units_of_work.process_beside_another, units, workers=TWO)}
+    assert len(pids) == 2
+    assert os.getpid() not in pids
+
+
+def test_a_worker_computes_with_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    for _, seen in fan_out(units_of_work.threads, range(4), workers=TWO):
+        assert seen == {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+def test_others_may_use_joblib_before_and_after() -> None:
+    """A process has one pool of loky's processes, which joblib takes for its own."""
+    for k in (3, 4):
+        assert Parallel(n_jobs=2)([delayed(units_of_work.square)(k)]) == [k * k]
+        assert dict(fan_out(units_of_work.square, [k, k], workers=TWO)) == {0: k * k, 1: k * k}
+
+
+@BOTH
+def test_units_are_taken_no_faster_than_results_are(workers: Workers) -> None:
+    taken = 0
+
+    def count() -> Iterator[int]:
+        nonlocal taken
+        for k in range(10**9):  # nobody could make a list of it
+            taken += 1
+            yield k
+
+    returned = fan_out(units_of_work.square, count(), workers=workers)
+    for received in range(1, 41):
+        next(returned)
+        if received % 10 == 0:
+            time.sleep(0.1)  # in which workers finish all that they were given
+        assert taken <= received + 2 * AHEAD + 2  # of joblib, which takes two at a time
+    assert isinstance(returned, Iterator)
+    returned.close()  # type: ignore[attr-defined]
+
+
+@BOTH
+def test_a_unit_that_raises_stops_no_other(workers: Workers) -> None:
+    returned = dict(fan_out(units_of_work.fail, [0, 1, 2, 3, 5], workers=workers))
+    failures = {k: each for k, each in returned.items() if isinstance(each, Failure)}
+    assert (returned[0], returned[4]) == (0, 5)
+    assert [failures[k].error for k in (1, 2, 3)] == [
+        "a sentence of its own.",
+        "KeyError: 'missing'",
+        "AwkwardError: one",
+    ]
+    for failure in failures.values():
+        assert failure.traceback is not None
+        assert "units_of_work.py" in failure.traceback  # where it happened, on whichever worker
+
+
+def test_what_cannot_be_sent_fails_alone() -> None:
+    units = [units_of_work.Unpicklable(), units_of_work.Unloadable(), 4, 6]
+    returned = dict(fan_out(units_of_work.fail, units, workers=TWO))
+    errors = [each.error for _, each in sorted(returned.items()) if isinstance(each, Failure)]
+    assert errors[0] == "TypeError: this cannot be sent"
+    assert errors[1].startswith("ValueError: invalid literal for int()")
+    assert errors[2].startswith("TypeError: cannot pickle 'generator' object")
+    assert returned[3] == 6
+
+
+@BOTH
+def test_in_order_raises_the_first_error_as_it_was(workers: Workers) -> None:
+    with pytest.raises(InputError, match=r"^a sentence of its own\.$"):
+        list(in_order(units_of_work.fail, [0, 1, 5], workers=workers))
+    with pytest.raises(KeyError, match="missing"):
+        list(in_order(units_of_work.fail, [0, 2, 5], workers=workers))
+
+
+@BOTH
+def test_an_error_of_the_units_themselves_is_raised(workers: Workers) -> None:
+    def units() -> Iterator[int]:
+        yield from range(12)
+        raise InputError("no more of them.")
+
+    returned = []
+    with pytest.raises(InputError, match="no more of them"):
+        for each in fan_out(units_of_work.square, units(), workers=workers):
+            returned.append(each)
+    assert list(in_order(units_of_work.square, range(5), workers=workers)) == [0, 1, 4, 9, 16]
+
+
+def test_a_worker_that_dies_costs_only_the_unit_that_kills_it() -> None:
+    returned = dict(fan_out(units_of_work.kill_worker, range(10), workers=TWO))
+    killers = [3, 8]
+    assert sorted(returned) == list(range(10))
+    for k in range(10):
+        if k in killers:
+            failure = returned[k]
+            assert isinstance(failure, Failure)
+            assert failure.error.startswith("its worker died twice")
+            assert failure.traceback is None
+        else:
+            assert returned[k] == k
+    with pytest.raises(WorkerDiedError):
+        list(in_order(units_of_work.kill_worker, range(5), workers=TWO))
+
+
+def test_a_worker_killed_from_outside_costs_nothing() -> None:
+    expected = list(fan_out(units_of_work.square, range(200)))
+    returned = []
+    for k, each in enumerate(fan_out(units_of_work.square, range(200), workers=TWO)):
+        returned.append(each)
+        if k in (20, 90):
+            _wait_for_workers(os.getpid(), 1)[0].kill()
+    assert sorted(returned) == expected
+
+
+SCRIPT = """
+import sys
+from tests.bench import units_of_work
+from xmarl_bench.parallel.fan_out import fan_out
+from xmarl_bench.parallel.workers import Workers
+units = [f"{sys.argv[1]}/{k}" for k in range(8)]
+list(fan_out(units_of_work.sleep_long, units, workers=Workers(2)))
+"""
+
+
+@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_the_main_process(kill: signal.Signals, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", SCRIPT, str(tmp_path)]
+    main = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    workers = _wait_for_workers(main.pid, 2)
+    until = time.monotonic() + 60
+    while len(list(tmp_path.iterdir())) < 2:
+        assert time.monotonic() < until, "the workers have begun nothing"
+        time.sleep(0.05)
+    main.send_signal(kill)
+    _, said = main.communicate(timeout=60)
+    gone, alive = psutil.wait_procs(workers, timeout=30)
+    assert not alive
+    assert len(gone) == 2
+    assert main.returncode != 0
+    assert "ExecutorManagerThread" not in said  # no quarrel of threads beside it
+    if kill == signal.SIGINT:
+        assert said.rstrip().endswith("KeyboardInterrupt")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((0,), "jobs must be at least 1, got 0"),
+        ((2, "threads"), "there is no backend 'threads': choose one of loky, ray, dask"),
+        ((2, "loky", "10.0.0.1:8786"), "address 10.0.0.1:8786 is of no use to loky"),
+    ],
+)
+def test_workers_that_are_none_are_refused(arguments: tuple[object, ...], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Workers(*arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("backend", "package"), [("ray", "ray"), ("dask", "distributed")])
+def test_a_backend_that_is_not_installed_is_said(
+    backend: str, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("xmarl_bench.parallel.joblib_backends.find_spec", lambda name: None)
+    with pytest.raises(
+        InputError, match=rf"needs the package {package}: pip install 'xmarl-bench\[{backend}\]'"
+    ):
+        list(fan_out(units_of_work.square, [1], workers=Workers(2, backend)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("backend", ["ray", "dask"])
+@pytest.mark.parametrize(
+    ("address", "said"), [("127.0.0.1:9", "no {} cluster answers at"), ("head", "is none")]
+)
+def test_a_cluster_that_does_not_answer_is_said_in_time(backend: str, address: str, said: str) -> None:
+    started = time.monotonic()
+    with pytest.raises(InputError, match=said.format(backend)):
+        list(fan_out(units_of_work.square, [1], workers=Workers(2, backend, address)))  # type: ignore[arg-type]
+    assert time.monotonic() - started < 60  # where clients try for minutes
+
+
+def test_no_unit_starts_no_worker(tmp_path: Path) -> None:
+    nowhere = Workers(2, "dask", "127.0.0.1:9")
+    assert list(fan_out(units_of_work.square, [], workers=nowhere)) == []
+
+
+def _workers_of(main: int) -> list[psutil.Process]:
+    """loky's workers that live, not its resource tracker."""
+    return [each for each in psutil.Process(main).children() if "popen_loky" in _command(each)]
+
+
+def _command(process: psutil.Process) -> str:
+    try:
+        return " ".join(process.cmdline())
+    except psutil.NoSuchProcess:  # a zombie, too: it was killed and not waited for yet
+        return ""
+
+
+def _wait_for_workers(main: int, at_least: int) -> list[psutil.Process]:
+    for _ in range(300):
+        workers = _workers_of(main)
+        if len(workers) >= at_least:
+            return workers
+        time.sleep(0.1)
+    raise AssertionError(f"process {main} has not started {at_least} workers")

@@ -1,0 +1,109 @@
+"""Packages of strangers: written by `new`, built, installed into a fresh environment, scored, compared."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.bench.forks import Ask, forks
+from tests.bench.fresh_environment import Environment
+from tests.bench.zygote import Request
+from tests.conftest import Ran
+from xmarl_bench.entry.file import read_entries
+from xmarl_bench.plugins.new_package import write_package
+
+pytestmark = pytest.mark.slow
+QUICK = ("--episodes", 2, "--timesteps", 5, "--max-cycles", 20, "--behaviour-episodes", 0)
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("packages")
+    write_package("explainer", "stranger-explainer", folder / "explainer")
+    write_package("policy", "stranger-policy", folder / "policy")
+    write_package("explainer", "broken-explainer", folder / "broken")
+    (folder / "broken/src/broken_explainer/__init__.py").write_text("import no_such_library\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory, packages: Path) -> Environment:
+    environment = Environment.make(tmp_path_factory.mktemp("environment") / "venv")
+    environment.install(packages / "explainer", packages / "policy")
+    environment.install(packages / "broken", target=environment.folder / "broken")
+    return environment
+
+
+Run = Callable[..., Ran]
+
+
+@pytest.fixture(scope="module")
+def ask(environment: Environment) -> Iterator[Ask]:
+    with forks(environment.python) as ask:
+        yield ask
+
+
+@pytest.fixture
+def run(ask: Ask, tmp_path: Path) -> Run:
+    """run(program, argument, ..., site=folder) -> what the program did there, in an empty folder."""
+
+    def run(*command: object, site: Path | None = None) -> Ran:
+        request: Request = {"command": [str(word) for word in command], "folder": str(tmp_path)}
+        if site is not None:
+            request["site"] = str(site)
+        done = ask(request)
+        return Ran(done["code"], done["out"], done["err"])
+
+    return run
+
+
+def test_both_are_found_scored_and_compared(run: Run, tmp_path: Path) -> None:
+    listed = json.loads(run("xmarl-bench", "list", "explainers", "--json").out)
+    (row,) = (row for row in listed if row["name"] == "stranger-explainer")
+    assert (row["distribution"], row["version"]) == ("stranger-explainer", "0.1.0")
+    assert "stranger-policy" in run("xmarl-bench", "list", "policies").out
+    scored = run(
+        "xmarl-bench", "score", "--policy", "stranger-policy", "--trust-code",
+        "--explainer", "stranger-explainer", "--explainer", "random", *QUICK, "--out", "board",
+    )  # fmt: skip
+    assert scored.code == 0, scored.err
+    entries = {entry.explainer.name: entry for _, entry in read_entries(tmp_path / "board/entries")}
+    entry = entries["stranger-explainer"]
+    assert (entry.explainer.distribution, entry.explainer.version) == ("stranger-explainer", "0.1.0")
+    assert entry.explainer.entry_point == "stranger_explainer:explainer"
+    assert entry.explainer.accesses == "black-box"
+    assert entry.policy.trusted_code
+    compared = run(
+        "xmarl-bench", "compare", "stranger-explainer", "random", "--entries", "board/entries", "--json",
+        "--metric", "budgeted_fidelity", "--plot", "comparison.svg",
+    )  # fmt: skip
+    assert compared.code == 0, compared.err
+    (comparison,) = json.loads(compared.out)
+    assert [each["explainer"] for each in comparison["standings"]] == ["stranger-explainer", "random"]
+    assert (tmp_path / "comparison.svg").read_text().count("<svg") == 1
+
+
+@pytest.mark.parametrize("kind", ["explainer", "policy"])
+def test_they_pass_their_own_tests_at_once(kind: str, run: Run, packages: Path) -> None:
+    tested = run("pytest", "-q", "-p", "no:cacheprovider", packages / kind)
+    assert tested.code == 0, tested.out
+    assert "2 passed" in tested.out
+
+
+def test_one_that_does_not_import_stops_the_command_and_hides_no_other(
+    environment: Environment, run: Run, tmp_path: Path
+) -> None:
+    broken = environment.folder / "broken"
+    listed = run("xmarl-bench", "list", "explainers", site=broken)
+    assert listed.code == 2
+    assert len(listed.err.splitlines()) == 1
+    for word in ("broken-explainer", "ModuleNotFoundError", "no_such_library"):
+        assert word in listed.err
+    assert "stranger-explainer" in listed.out
+    everything = run("xmarl-bench", "score", "--explainer", "all", *QUICK, "--out", "board", site=broken)
+    assert everything.code == 2
+    assert "broken-explainer" in everything.err
+    assert not (tmp_path / "board").exists()

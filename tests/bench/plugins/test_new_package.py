@@ -1,0 +1,63 @@
+"""What `new` writes; that it installs, passes its tests and is scored is in test_installed_plugins.py."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import RunCli
+from xmarl_bench.plugins.new_package import TEMPLATES
+
+CONFIG = Path(__file__).parents[3] / "pyproject.toml"
+
+
+@pytest.mark.parametrize("kind", ["explainer", "policy"])
+def test_files_are_complete_and_well_formed(kind: str, run_cli: RunCli, tmp_path: Path) -> None:
+    folder = tmp_path / "package"
+    ran = run_cli("new", kind, "brand-new.one", "--out", folder)
+    assert ran.code == 0, ran.err
+    written = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    assert written == [
+        "README.md", "pyproject.toml", "src/brand_new_one/__init__.py", "tests/test_brand_new_one.py",
+    ]  # fmt: skip
+    assert len(written) == len(list((TEMPLATES / kind).rglob("*.jinja")))
+    for path in written:
+        assert str(folder / path) in ran.out
+        assert "{{" not in (folder / path).read_text()
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    (points,) = project["entry-points"].values()
+    assert [value.split(":")[0] for value in points.values()] == ["brand_new_one"]
+    for check in ("check", "format --check"):
+        command = [sys.executable, "-m", "ruff", *check.split(), "--config", str(CONFIG), str(folder)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("1st", "names no package"),
+        ("My-Own", "names no package"),
+        ("../elsewhere", "names no package"),
+        ("class", "names no package"),
+        ("torch", "installed already"),
+        ("json", "installed already"),
+    ],
+)
+def test_names_that_do_not_work_are_refused(name: str, said: str, run_cli: RunCli, tmp_path: Path) -> None:
+    ran = run_cli("new", "explainer", name, "--out", tmp_path / "package")
+    assert (ran.code, ran.out, len(ran.err.splitlines())) == (2, "", 1)
+    assert said in ran.err
+    assert not (tmp_path / "package").exists()
+
+
+def test_nothing_is_written_over(run_cli: RunCli, tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    ran = run_cli("new", "policy", "brand-new", "--out", tmp_path)
+    assert ran.code == 2
+    assert "is there already" in ran.err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]

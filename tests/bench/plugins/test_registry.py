@@ -1,0 +1,107 @@
+"""Names resolve through entry points, and a plugin that does not load says so."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import MakeBundle, RunCli
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.plugins import registry
+
+
+def install(monkeypatch: pytest.MonkeyPatch, **plugins: str) -> None:
+    """Pretend that a package registered these explainers: name (with _ for -) = "module:object"."""
+    points = [
+        EntryPoint(name.replace("_", "-"), value, registry.EXPLAINERS) for name, value in plugins.items()
+    ]
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: points if group == registry.EXPLAINERS else []
+    )
+
+
+def test_shipped_explainers_are_found_by_their_names() -> None:
+    names = registry.explainer_names()
+    assert names[: len(CONTROLS)] == list(CONTROLS)
+    assert {"attention", "gnn_explainer", "graphmask-pyg"} <= set(names)
+    found = registry.find_explainer("attention")
+    assert (found.distribution, found.explainer.control) == ("xmarl-bench", False)
+    assert registry.find_explainer("random").explainer.control
+
+
+def test_a_plugin_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, vandal="tests.bench.example_plugins:vandal")
+    assert registry.find_explainer("vandal").entry_point == "tests.bench.example_plugins:vandal"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("gone", "tests.bench.no_such_module:x", "ModuleNotFoundError"),
+        ("gone", "tests.bench.example_plugins:no_such_name", "AttributeError"),
+        ("gone", "tests.bench.example_plugins:not_an_explainer", "a str explains nothing"),
+        ("gone", "tests.bench.example_plugins:misnamed", "'another'"),
+        ("random", "tests.bench.example_plugins:vandal", "control"),
+    ],
+)
+def test_a_plugin_that_does_not_load_is_an_error_with_its_name(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, said: str
+) -> None:
+    install(monkeypatch, **{name: value})
+    with pytest.raises(InputError, match=f"'{name}'.*{said}"):
+        for each in registry.explainer_names():
+            registry.find_explainer(each)
+
+
+def test_a_broken_plugin_does_not_stand_in_the_way_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, broken="tests.bench.no_such_module:x", vandal="tests.bench.example_plugins:vandal")
+    assert registry.find_explainer("vandal").explainer.name == "vandal"
+
+
+def test_an_unknown_name_lists_the_choices_and_the_nearest() -> None:
+    with pytest.raises(InputError, match=r"'atention'.*all-ones.*gnn_explainer.*Did you mean 'attention'\?"):
+        registry.find_explainer("atention")
+
+
+def test_policies_come_from_plugins_or_folders(
+    monkeypatch: pytest.MonkeyPatch, make_bundle: MakeBundle
+) -> None:
+    folder = make_bundle(name="mine")
+    point = EntryPoint("x", "tests.bench.plugins.test_registry:shipped", registry.POLICIES)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    monkeypatch.setitem(SHIPPED, "mine", folder)
+    assert registry.find_policies() == {"mine": folder}
+    assert registry.find_policy("mine") == registry.find_policy(str(folder)) == folder
+    with pytest.raises(InputError, match=r"'yours'.*mine.*folder"):
+        registry.find_policy("yours")
+
+
+def test_a_policy_plugin_that_does_not_load_hides_no_other(
+    monkeypatch: pytest.MonkeyPatch, make_bundle: MakeBundle, run_cli: RunCli
+) -> None:
+    folder = make_bundle(name="mine")
+    monkeypatch.setitem(SHIPPED, "mine", folder)
+    points = [
+        EntryPoint("broken", "tests.bench.no_such_module:x", registry.POLICIES),
+        EntryPoint("x", "tests.bench.plugins.test_registry:shipped", registry.POLICIES),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    listed = run_cli("list", "policies")
+    assert listed.code == 2
+    assert "mine" in listed.out
+    assert "'broken'" in listed.err
+    assert "ModuleNotFoundError" in listed.err
+    assert registry.open_policy("mine")[1].name == "mine"
+    for look in (registry.find_policies, lambda: registry.open_policy("yours")):
+        with pytest.raises(InputError, match="'broken'"):
+            look()
+
+
+SHIPPED: dict[str, Path] = {}
+
+
+def shipped() -> dict[str, Path]:
+    return SHIPPED

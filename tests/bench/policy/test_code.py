@@ -1,0 +1,142 @@
+"""Policies that bring code: taken when trusted, refused otherwise, and said so in the entry."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+import torch
+from torch_geometric.nn import TransformerConv
+
+from tests.bench.checks.test_policy_checks import Pilot
+from tests.conftest import MakeBundle, RunCli
+from xmarl_bench import PolicyModule, RadiusGraph, score
+from xmarl_bench.plugins import registry
+from xmarl_bench.entry.file import read_entries
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import CodeArchitecture
+
+RAN: list[str] = []
+HERE = "tests.bench.policy.test_code"
+QUICK = ("--episodes", 1, "--timesteps", 3, "--max-cycles", 4, "--behaviour-episodes", 0)
+
+
+def pilot() -> PolicyModule:
+    RAN.append("pilot")
+    return PolicyModule("pilot", Pilot(), "blind_navigation_v0", 3)
+
+
+def near() -> PolicyModule:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        network = TransformerConv(6, 4, heads=2, concat=False)
+    return PolicyModule("near", network, "blind_navigation_v0", 4, graph=RadiusGraph(radius=1.0))
+
+
+def crashes() -> PolicyModule:
+    raise RuntimeError("no weights here")
+
+
+def nothing() -> None:
+    return None
+
+
+def nowhere() -> PolicyModule:
+    return PolicyModule("nowhere", Pilot(), "chess", 3)
+
+
+def misnamed() -> PolicyModule:
+    return PolicyModule("Not A Name", Pilot(), "blind_navigation_v0", 3)
+
+
+def listed() -> dict[str, object]:
+    return {"pilot": pilot, "other": near}
+
+
+@pytest.fixture
+def plugin(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("mine", f"{HERE}:listed", registry.POLICIES)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == registry.POLICIES else [])
+
+
+@pytest.mark.usefixtures("plugin")
+def test_code_does_not_run_unless_trusted(run_cli: RunCli, tmp_path: Path) -> None:
+    RAN.clear()
+    for name in ("pilot", f"{HERE}:pilot"):
+        ran = run_cli("score", "--policy", name, "--explainer", "self", *QUICK, "--out", tmp_path)
+        assert ran.code == 2
+        assert "--trust-code" in ran.err
+    assert {row["name"]: row["code"] for row in json.loads(run_cli("list", "policies", "--json").out)} == {
+        "other": f"{HERE}:listed",
+        "pilot": f"{HERE}:listed",
+    }
+    assert RAN == []
+
+
+@pytest.mark.usefixtures("plugin")
+@pytest.mark.parametrize("name", ["pilot", f"{HERE}:pilot"])
+def test_trusted_code_is_scored_and_the_entry_says_so(name: str, run_cli: RunCli, tmp_path: Path) -> None:
+    ran = run_cli("score", "--policy", name, "--explainer", "self", *QUICK, "--out", tmp_path, "--trust-code")
+    assert ran.code == 0, ran.err
+    ((_, entry),) = read_entries(tmp_path / "entries")
+    assert entry.policy.trusted_code
+    architecture = entry.policy.architecture
+    assert isinstance(architecture, CodeArchitecture)
+    assert architecture.entry_point == f"{HERE}:pilot"
+    assert entry.results[0].metrics.fid_plus.value
+
+
+def test_a_module_of_a_notebook_is_scored_as_it_is() -> None:
+    entry = score(near(), "random", episodes=1, timesteps=3, max_cycles=4, behaviour_episodes=0)
+    assert entry.policy.trusted_code
+    assert entry.policy.architecture.graph == RadiusGraph(radius=1.0)
+    assert entry.results[0].n_agents == 4
+    assert (
+        entry.policy.weights_sha256 == registry.open_policy(f"{HERE}:near", trust_code=True)[1].weights_sha256
+    )
+
+
+@pytest.mark.parametrize(
+    ("factory", "said"),
+    [
+        ("crashes", "RuntimeError: no weights here"),
+        ("nothing", "NoneType: let its factory return a PolicyModule"),
+        ("nowhere", "unknown task 'chess'"),
+        ("misnamed", "no valid name"),
+        ("RAN", "is a list"),
+        ("gone", "has no 'gone'"),
+    ],
+)
+def test_factories_that_make_no_policy(factory: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        registry.open_policy(f"{HERE}:{factory}", trust_code=True)
+
+
+@pytest.mark.usefixtures("plugin")
+def test_a_plugin_has_one_name() -> None:
+    with pytest.raises(InputError, match=r"'other'.*calls itself 'near'"):
+        registry.open_policy("other", trust_code=True)
+    with pytest.raises(InputError, match="has no bundle"):
+        registry.find_policy("pilot")
+
+
+def test_a_bundle_needs_no_trust(make_bundle: MakeBundle) -> None:
+    policy, card = registry.open_policy(str(make_bundle()))
+    assert card.name == "small"
+    assert not policy.training
+
+
+def test_a_factory_in_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from tests.bench.checks.test_policy_checks import Pilot\n"
+        "from xmarl_bench import PolicyModule\n"
+        "def make():\n"
+        "    return PolicyModule('filed', Pilot(), 'blind_navigation_v0', 3)\n"
+    )
+    _, card = registry.open_policy(f"{file}:make", trust_code=True)
+    assert isinstance(card.architecture, CodeArchitecture)
+    assert card.architecture.entry_point == "mine.py:make"
+    assert card.architecture.code_sha256 is not None

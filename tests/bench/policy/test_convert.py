@@ -1,0 +1,206 @@
+"""Weights that others saved: read without executing them, renamed, and the same policy afterwards."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import zipfile
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch_geometric.nn import GATv2Conv
+from torchrl.modules import MultiAgentMLP, NormalParamExtractor
+from xmarl_baselines.training.recipes import recipe_for
+from xmarl_baselines.training.trainer import Run, build
+
+from tests.bench.policy.test_hostile_bundles import RAN, Payload
+from tests.bench.policy.test_layers import GAT2, random_policy, record
+from tests.conftest import RunCli
+from tests.policies import random_observations
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import LayeredArchitecture, complete_graph, load_policy
+from xmarl_bench.policy.build import weights_of
+from xmarl_bench.policy.convert import dense, read_tensors, rename
+
+TASK = ("--task", "blind_navigation_v0")
+
+
+def write(path: Path, value: object) -> Path:
+    path.write_text(json.dumps(value))
+    return path
+
+
+def test_a_state_dict_of_torch_save(tmp_path: Path, run_cli: RunCli) -> None:
+    policy = random_policy(record(GAT2))
+    torch.save({"model": OrderedDict(weights_of(policy)), "epoch": 3}, tmp_path / "model.pt")
+    architecture = write(tmp_path / "a.json", record(GAT2).model_dump())
+    key_map = write(tmp_path / "m.json", {"model.": ""})
+    ran = run_cli(
+        "convert", tmp_path / "model.pt", "--out", tmp_path / "mine", *TASK, "--architecture", architecture,
+        "--key-map", key_map, "--training-seed", 5,
+    )  # fmt: skip
+    assert ran.code == 0, ran.err
+    loaded, card = load_policy(tmp_path / "mine")
+    assert (card.name, card.training_seed, card.architecture) == ("mine", 5, record(GAT2))
+    observations = random_observations(3, 3, 6)
+    with torch.no_grad():
+        assert torch.equal(loaded.distribution(observations).loc, policy.distribution(observations).loc)
+    assert "model.layers.0.att_src" in run_cli("convert", tmp_path / "model.pt").out
+
+
+def test_a_checkpoint_of_xmarl_train(tmp_path: Path, run_cli: RunCli) -> None:
+    recipe = recipe_for("blind_discovery_v0", frames=64, n_envs=2, n_steps=4, batch_size=8, imitation=None)
+    model = build(Run(recipe), seed=0)
+    model.save(tmp_path / "checkpoint.zip")
+    ran = run_cli("convert", tmp_path / "checkpoint.zip", "--out", tmp_path / "ppo", "--task", recipe.task)
+    assert ran.code == 0, ran.err
+    loaded, _ = load_policy(tmp_path / "ppo")
+    assert loaded.architecture == model.policy.actor.architecture
+    observations = random_observations(3, 3, 5)
+    with torch.no_grad():
+        theirs = model.policy.actor.distribution(observations)
+        torch.testing.assert_close(loaded.distribution(observations).loc, theirs.loc, rtol=0, atol=1e-6)
+
+
+class TorchRLActor(nn.Module):
+    """As BenchMARL puts an actor together: a graph layer, TorchRL's own MLP for all agents, its own head."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.gnns = nn.ModuleList([GATv2Conv(6, 8)])
+        self.mlp = MultiAgentMLP(
+            8, 4, 3, centralized=False, share_params=True, num_cells=[9], activation_class=nn.Tanh
+        )
+        self.head = NormalParamExtractor()
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        hidden = self.gnns[0](x, complete_graph(len(x)))
+        loc, scale = self.head(self.mlp(hidden))
+        return loc, scale
+
+
+def test_an_actor_of_torchrl(tmp_path: Path, run_cli: RunCli) -> None:
+    torch.manual_seed(0)
+    actor = TorchRLActor()
+    torch.save({"actor": actor.state_dict()}, tmp_path / "actor.pt")
+    architecture = LayeredArchitecture.model_validate(
+        {
+            "obs_dim": 6,
+            "layers": ({"conv": "GATv2Conv", "width": 8, "activation": "identity"},),
+            "decoder": (9,),
+            "decoder_activation": "tanh",
+            "scale": "torchrl",
+        }
+    )
+    key_map = {"actor.gnns.0.": "layers.0.", "actor.mlp.params.": "decoder.", "actor.mlp.params.__": None}
+    ran = run_cli(
+        "convert", tmp_path / "actor.pt", "--out", tmp_path / "rl", *TASK,
+        "--architecture", write(tmp_path / "a.json", architecture.model_dump()),
+        "--key-map", write(tmp_path / "m.json", key_map),
+    )  # fmt: skip
+    assert ran.code == 0, ran.err
+    policy, _ = load_policy(tmp_path / "rl")
+    x = random_observations(1, 3, 6)
+    with torch.no_grad():
+        loc, scale = actor(x[0])
+        ours = policy.distribution(x)
+    torch.testing.assert_close(ours.loc[0], loc, rtol=0, atol=1e-5)
+    torch.testing.assert_close(ours.scale[0], scale, rtol=0, atol=1e-5)
+
+
+def hostile(kind: str, path: Path) -> Path:
+    if kind == "pickle":
+        path.write_bytes(pickle.dumps(Payload()))
+    elif kind == "old format":
+        torch.save({"a": torch.ones(2)}, path, _use_new_zipfile_serialization=False)
+    elif kind == "payload":
+        torch.save({"a": Payload()}, path)
+    elif kind == "payload in sb3":
+        inner = io.BytesIO()
+        torch.save({"a": Payload()}, inner)
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("policy.pth", inner.getvalue())
+            archive.writestr("data", "{}")
+    elif kind == "bomb":
+        inner = io.BytesIO()
+        torch.save({"a": torch.zeros(1)}, inner)
+        with zipfile.ZipFile(inner) as old, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
+            for name in old.namelist():
+                new.writestr(name, bytes(2**26) if name.endswith("data/0") else old.read(name))
+    elif kind == "text":
+        path.write_text("hello")
+    return path
+
+
+@pytest.mark.parametrize(
+    "kind", ["pickle", "old format", "payload", "payload in sb3", "bomb", "text", "gone"]
+)
+def test_what_is_more_than_weights_is_refused(kind: str, tmp_path: Path, run_cli: RunCli) -> None:
+    path = hostile(kind, tmp_path / "x.pt")
+    ran = run_cli("convert", path, "--out", tmp_path / "out", *TASK)
+    assert ran.code == 2
+    assert len(ran.err.splitlines()) == 1, ran.err
+    assert RAN == []
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_checkpoint_with_pickles_beside_its_weights_runs_none_of_them(tmp_path: Path) -> None:
+    inner = io.BytesIO()
+    torch.save({"actor.x": torch.ones(2)}, inner)
+    with zipfile.ZipFile(tmp_path / "c.zip", "w") as archive:
+        archive.writestr("policy.pth", inner.getvalue())
+        archive.writestr("pytorch_variables.pth", pickle.dumps(Payload()))
+        archive.writestr("data", pickle.dumps(Payload()))
+    assert read_tensors(tmp_path / "c.zip").keys() == {"actor.x"}
+    assert RAN == []
+
+
+def test_key_maps_by_hand() -> None:
+    tensors = {"a.x": torch.ones(1), "a.b.y": torch.ones(2), "c": torch.ones(3, dtype=torch.long)}
+    assert rename(tensors, {"a.": "p.", "a.b.": "q.", "c": None}).keys() == {"p.x", "q.y"}
+    for key_map, said in (
+        ({"a.": "p."}, "says nothing of tensor 'c'"),
+        ({"a.x": "same", "a.b.y": "same", "c": None}, "two tensors 'same'"),
+        ({"": ""}, "'c' holds no dense"),
+    ):
+        with pytest.raises(InputError, match=said):
+            rename(tensors, key_map)
+
+
+def test_a_tensor_that_claims_a_size_is_copied_only_where_it_fits() -> None:
+    huge = torch.zeros(1).expand(2**40)
+    assert dense({"w": huge}, {"w": (3,)})["w"] is huge
+    with pytest.raises(InputError, match="NaN"):
+        dense({"w": torch.full((3,), torch.nan)}, {"w": (3,)})
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, "give --architecture"),
+        ({"--architecture": {"kind": "code"}}, "no architecture"),
+        ({"--architecture": "x"}, "no architecture"),
+        ({"--architecture": None, "--key-map": {"a": 1}}, "no key map"),
+        ({"--architecture": None, "--key-map": []}, "no key map"),
+        ({"--architecture": None}, "do not fit the architecture"),
+        ({"--architecture": None, "--agents": 0}, "no policy can have this n_agents"),
+    ],
+)
+def test_bad_options(options: dict[str, Any], said: str, tmp_path: Path, run_cli: RunCli) -> None:
+    weights = weights_of(random_policy(record(GAT2)))
+    if "do not fit" in said:
+        weights["layers.0.bias"] = torch.zeros(3)
+    torch.save(weights, tmp_path / "w.pt")
+    arguments: list[object] = []
+    for name, value in options.items():
+        value = record(GAT2).model_dump() if value is None else value
+        arguments += [name, value if name == "--agents" else write(tmp_path / f"{name}.json", value)]
+    ran = run_cli("convert", tmp_path / "w.pt", "--out", tmp_path / "out", *TASK, *arguments)
+    assert ran.code == 2
+    assert said in ran.err
+    assert not (tmp_path / "out").exists()

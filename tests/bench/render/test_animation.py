@@ -1,0 +1,263 @@
+"""Files of `xmarl-bench render`: readable by others, of the promised size, whole or not there."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image, ImageSequence
+from xmarl_envs import make_task
+from xmarl_envs.canvas import HEADER, SIZE
+from xmarl_envs.colours import agent_colours
+from xmarl_envs.render import FPS, Renderer
+
+from tests.conftest import MakeBundle, RunCli
+from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.policy import load_policy
+from xmarl_bench.render import animation
+from xmarl_bench.render.animation import (
+    GIF_BYTES,
+    LAST_FRAME,
+    SMALL_FRAMES,
+    SMALL_PAUSE,
+    SMALL_WIDTH,
+    write_animation,
+)  # fmt: skip
+from xmarl_bench.render.recording import Recording, record
+
+Picture = NDArray[np.uint8]
+
+
+def recorded(max_cycles: int, n_agents: int = 3, team: str = "random") -> Recording:
+    return record(make_task("blind_navigation_v0", n_agents), team, max_cycles=max_cycles)
+
+
+def expected(recording: Recording, cycle: int) -> Picture:
+    track = recording.track
+    reach = float(np.abs(track.scene().track).max()) + recording.task.radius
+    title = f"{recording.task.name}, {recording.team}"
+    picture = Renderer(recording.task, reach=reach).draw(track.scene(cycle), title=title)
+    assert picture is not None
+    return picture
+
+
+def wrong(one: Picture, other: Picture) -> float:
+    """Fraction of pixels that are clearly another colour, not just nearly this one."""
+    return float((np.abs(one.astype(np.float64) - other).max(axis=-1) > 40).mean())
+
+
+def test_a_gif_shows_the_episode_at_twice_real_time(tmp_path: Path) -> None:
+    recording = recorded(30)
+    written = write_animation(recording, tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as gif:
+        frames = [(np.asarray(f.convert("RGB")), f.info["duration"]) for f in ImageSequence.Iterator(gif)]
+        assert gif.info["loop"] == 0  # for ever
+    assert len(frames) == written.frames == 31
+    assert [shown for _, shown in frames] == [1000 / FPS] * 30 + [LAST_FRAME]
+    for cycle in (0, 13, 30):
+        assert frames[cycle][0].shape == (HEADER + SIZE, SIZE, 3)
+        other = expected(recording, (cycle + 10) % 30)
+        assert wrong(frames[cycle][0], expected(recording, cycle)) < 0.2 * wrong(frames[cycle][0], other)
+
+
+def test_long_episodes_show_every_so_many_steps_in_a_gif(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(animation, "GIF_FRAMES", 10)
+    written = write_animation(recorded(30), tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as gif:
+        shown = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
+    assert written.frames == len(shown) == 9  # steps 0, 4, ... 28 and 30
+    assert shown == [4 * 1000 / FPS] * 7 + [2 * 1000 / FPS, LAST_FRAME]
+
+
+def test_busy_episodes_lose_frames_until_the_gif_is_small(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = write_animation(recorded(30, 16), tmp_path / "whole.gif")
+    assert whole.n_bytes <= GIF_BYTES
+    limit = whole.n_bytes // 2
+    monkeypatch.setattr(animation, "GIF_BYTES", limit)
+    written = write_animation(recorded(30, 16), tmp_path / "a.gif")
+    assert (tmp_path / "a.gif").stat().st_size == written.n_bytes <= limit
+    with Image.open(tmp_path / "a.gif") as gif:
+        shown = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
+    assert 2 < len(shown) == written.frames < whole.frames == 31
+    assert sum(shown) == 30 * 1000 / FPS + LAST_FRAME  # as long as before
+
+
+def test_an_mp4_holds_every_step(tmp_path: Path) -> None:
+    recording = recorded(30)
+    written = write_animation(recording, tmp_path / "a.mp4")
+    assert written.frames == 31
+    reader = imageio_ffmpeg.read_frames(tmp_path / "a.mp4")
+    about = next(reader)
+    frames = [np.frombuffer(data, dtype=np.uint8).reshape(HEADER + SIZE, SIZE, 3) for data in reader]
+    assert about["fps"] == FPS
+    assert about["size"] == (SIZE, HEADER + SIZE)
+    assert len(frames) == 31 + LAST_FRAME * FPS // 1000
+    for cycle in (0, 13, 30):
+        other = expected(recording, (cycle + 10) % 30)
+        assert wrong(frames[cycle], expected(recording, cycle)) < 0.2 * wrong(frames[cycle], other)
+
+
+def test_a_png_shows_six_moments(tmp_path: Path) -> None:
+    recording = recorded(30)
+    assert write_animation(recording, tmp_path / "a.png").frames == 6
+    with Image.open(tmp_path / "a.png") as image:
+        sheet = np.asarray(image)
+        assert image.format == "PNG"
+    height, width = sheet.shape[0] // 2, sheet.shape[1] // 3
+    for k, cycle in enumerate((0, 6, 12, 18, 24, 30)):
+        panel = sheet[k // 3 * height :, k % 3 * width :][:height, :width]
+        small = Image.fromarray(expected(recording, cycle)).resize((width, height), Image.Resampling.LANCZOS)
+        np.testing.assert_array_equal(panel, np.asarray(small))
+
+
+def test_an_avif_is_small_and_shows_few_frames(tmp_path: Path) -> None:
+    recording = recorded(90, 5)
+    gif = write_animation(recording, tmp_path / "a.gif")
+    written = write_animation(recording, tmp_path / "a.avif")
+    assert written.n_bytes < gif.n_bytes / 4
+    with Image.open(tmp_path / "a.avif") as image:
+        assert image.size == (SMALL_WIDTH, SMALL_WIDTH * (HEADER + SIZE) // SIZE)
+        shown, pauses = [], []
+        for frame in ImageSequence.Iterator(image):
+            shown.append(np.asarray(frame.convert("RGB")))
+            pauses.append(frame.info["duration"])
+    assert len(shown) == written.frames == SMALL_FRAMES
+    assert max(pauses[:-1]) <= SMALL_PAUSE < pauses[-1] == LAST_FRAME
+    for k, cycle in ((0, 0), (15, round(15 * 90 / 23)), (23, 90)):
+        near, far = (
+            np.asarray(Image.fromarray(expected(recording, c)).resize(image.size, Image.Resampling.LANCZOS))
+            for c in (cycle, (cycle + 30) % 90)
+        )
+        assert wrong(shown[k], near) < 0.3 * wrong(shown[k], far)
+
+
+@pytest.mark.parametrize("suffix", ["gif", "avif", "mp4", "png"])
+def test_an_episode_of_one_step(suffix: str, tmp_path: Path) -> None:
+    assert write_animation(recorded(1), tmp_path / f"a.{suffix}").frames == 2
+
+
+def test_the_explanation_is_drawn_over_all_but_the_last_picture(
+    tmp_path: Path, make_bundle: MakeBundle
+) -> None:
+    policy, _ = load_policy(make_bundle())
+    task = make_task("blind_navigation_v0", 3)
+    recording = record(task, "small", policy, max_cycles=5)
+    panels = []
+    for explainer in (CONTROLS["all-ones"], CONTROLS["random"]):
+        write_animation(recording, tmp_path / "a.png", explainer)
+        with Image.open(tmp_path / "a.png") as image:
+            sheet = np.asarray(image)
+        rows, columns = sheet.shape[0] // 2, sheet.shape[1] // 3
+        below_header = np.s_[:, rows // 8 :]
+        panels.append(sheet.reshape(2, rows, 3, columns, 3).swapaxes(1, 2).reshape(6, rows, -1)[below_header])
+    differ = (panels[0] != panels[1]).any(axis=(1, 2))
+    np.testing.assert_array_equal(differ, [True, True, True, True, True, False])
+
+
+def test_the_same_bytes_again(tmp_path: Path) -> None:
+    for suffix in ("gif", "png"):
+        paths = [tmp_path / f"{k}.{suffix}" for k in range(2)]
+        for path in paths:
+            write_animation(recorded(3), path)
+        assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_render_on_the_command_line(run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path) -> None:
+    out = tmp_path / "new folder" / "episode.gif"
+    ran = run_cli(
+        "render", "--policy", make_bundle(), "--explainer", "attention", "--agents", 4, "--seed", 3,
+        "--episode", 2, "--max-cycles", 6, "--out", out,
+    )  # fmt: skip
+    assert ran.code == 0, ran.err
+    assert ran.err == ""
+    assert ran.out.startswith(f"{out}: 7 of 7 moments of episode 1000003000002, ")
+    with Image.open(out) as gif:
+        last = np.asarray(gif.convert("RGB")).reshape(-1, 3).astype(int)
+    for colour in agent_colours(4):
+        assert np.abs(last - colour).sum(axis=1).min() < 40
+    assert [path.name for path in out.parent.iterdir()] == ["episode.gif"]
+
+
+def test_without_a_policy_the_heuristic_plays(run_cli: RunCli, tmp_path: Path) -> None:
+    out = tmp_path / "a.png"
+    ran = run_cli("render", "--task", "blind_navigation_v0", "--out", out)
+    assert ran.code == 0, ran.err
+    assert "done, success 1.00" in ran.out
+    assert out.is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], ["plays any task", "blind_navigation_v0"]),
+        (["--task", "blind_navigation"], ["'blind_navigation'", "Did you mean"]),
+        (["--task", "blind_passage_v0", "--agents", 6], ["1 to 5", "got 6"]),
+        (["--task", "blind_navigation_v0", "--explainer", "attention"], ["team is 'heuristic'"]),
+        (["--policy", "navigaton"], ["unknown policy 'navigaton'"]),
+        (["--policy", "BUNDLE", "--task", "blind_passage_v0"], ["6 entries", "gives 8"]),
+        (["--policy", "BUNDLE", "--explainer", "attentoin"], ["'attentoin'", "Did you mean"]),
+        (["--policy", "BUNDLE", "--seed", -1], ["seed"]),
+        (["--policy", "BUNDLE", "--episode", -1], ["episode"]),
+        (["--policy", "BUNDLE", "--max-cycles", 0], ["max_cycles"]),
+        (["--policy", "BUNDLE", "--out", "a.avi"], ["a.avi", ".gif, .avif, .mp4, .png"]),
+        (["--policy", "BUNDLE", "--out", "."], ["let its name end"]),
+    ],
+)
+def test_bad_options(
+    arguments: list[str], said: list[str], run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path
+) -> None:
+    bundle = make_bundle()
+    out = tmp_path / "out.gif"
+    given = [bundle if argument == "BUNDLE" else argument for argument in arguments]
+    ran = run_cli("render", *(given if "--out" in given else [*given, "--out", out]))
+    assert ran.code == 2
+    assert ran.out == ""
+    assert len(ran.err.splitlines()) == 1
+    assert all(words in ran.err for words in said), ran.err
+    assert not out.exists()
+
+
+def test_what_cannot_be_written_is_refused_before_anything_is_played(
+    run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "folder.gif").mkdir()
+    (tmp_path / "file").write_text("")
+    for out, said in (("folder.gif", "which is a folder"), ("file/a.gif", "cannot write to")):
+        ran = run_cli("render", "--policy", make_bundle(), "--out", tmp_path / out)
+        assert ran.code == 2
+        assert said in ran.err
+    not_there: Callable[[str], None] = lambda name: None  # noqa: E731
+    monkeypatch.setattr(animation, "find_spec", not_there)
+    ran = run_cli("render", "--policy", make_bundle(), "--out", tmp_path / "a.mp4")
+    assert ran.code == 2
+    assert "pip install 'xmarl-bench[video]'" in ran.err
+
+
+def test_an_explainer_that_fails_leaves_the_old_file(
+    run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "a.gif"
+    out.write_text("old")
+
+    def crash(*_: object) -> None:
+        raise RuntimeError("out of coffee")
+
+    monkeypatch.setattr(Recording, "explain", crash)
+    with pytest.raises(RuntimeError):
+        run_cli("render", "--policy", make_bundle(), "--explainer", "attention", "--out", out)
+    assert out.read_text() == "old"
+    assert {path.name for path in tmp_path.iterdir()} == {"a.gif", "policies"}
+
+
+def test_ffmpeg_comes_with_the_package() -> None:
+    version = subprocess.run([imageio_ffmpeg.get_ffmpeg_exe(), "-version"], capture_output=True, check=True)
+    assert version.stdout.startswith(b"ffmpeg")

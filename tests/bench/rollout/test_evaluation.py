@@ -1,0 +1,54 @@
+"""Task performance with and without messages, the same whatever the number of processes."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from xmarl_envs import make_task
+
+from tests.policies import small_policy
+from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.rollout.evaluation import evaluate, evaluate_policy
+from xmarl_bench.score.request import Cell, Sampling
+
+
+def test_means_are_those_of_the_episodes() -> None:
+    policy, sampling = small_policy(8), Sampling(episodes=3, max_cycles=15)
+    (performance,) = evaluate([(policy, Cell("blind_passage_v0", 3))], sampling)
+    task = make_task("blind_passage_v0", 3)
+    heard = roll_out(task, policy, sampling.seeds, max_cycles=15)
+    unheard = roll_out(task, policy, sampling.seeds, max_cycles=15, mask=torch.eye(3))
+    for means, episodes in ((performance.with_messages, heard), (performance.without_messages, unheard)):
+        assert means["reward"] == pytest.approx(np.mean([episode.reward for episode in episodes]))
+        assert means["no_object_collision"] is not None
+    assert performance.with_messages["reward"] != performance.without_messages["reward"]
+
+
+def test_parallel_episodes_change_nothing() -> None:
+    pairs = [
+        (small_policy(6), Cell("blind_navigation_v0", 3)),
+        (small_policy(5), Cell("blind_discovery_v0", 4)),
+    ]
+    sampling = Sampling(episodes=3, max_cycles=10)
+    assert evaluate(pairs, sampling) == evaluate(pairs, sampling, parallel_episodes=1)
+
+
+def test_the_record_fits_a_policy_card(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("xmarl_envs.BlindNavigation.default_max_cycles", 5)
+    record = evaluate_policy(small_policy(6), "blind_navigation_v0", 3, episodes=2)
+    assert json.loads(json.dumps(record)) == record
+    assert (record["episodes"], record["max_cycles"]) == (2, 5)
+    assert record["with_messages"]["no_object_collision"] is None
+
+
+def test_a_policy_that_hears_nobody_performs_the_same() -> None:
+    policy: GraphPolicy = small_policy(6)
+    with torch.no_grad():
+        policy.gat.lin_l.weight.zero_()  # every message is the same constant
+        policy.gat.lin_l.bias.zero_()
+    (performance,) = evaluate([(policy, Cell("blind_navigation_v0", 3))], Sampling(episodes=2, max_cycles=5))
+    assert performance.with_messages == performance.without_messages

@@ -1,0 +1,125 @@
+"""The team rolled out on an explanation and on its complement."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from xmarl_envs import make_task
+
+from tests.bench.example_plugins import BAD
+from tests.policies import small_policy
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.policy import Policy
+from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.score.behaviour import BLOCK, BehaviourBlock, Played, kept_messages, top_messages
+
+TASK = "blind_navigation_v0"
+
+
+def nearest(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    return torch.exp(-torch.cdist(observations[..., :2], observations[..., :2]))
+
+
+def noisy(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    n_steps, n_agents, _ = observations.shape
+    return torch.rand(n_steps, n_agents, n_agents, generator=generator)
+
+
+NEAREST, NOISY = Explainer("nearest", nearest), Explainer("noisy", noisy, stochastic=True)
+
+
+def play(
+    explainer: Explainer | None, seeds: tuple[int, ...] = (1, 2, 3), n_agents: int = 4, max_cycles: int = 12
+) -> Played:
+    played = BehaviourBlock(small_policy(6), explainer, TASK, n_agents, seeds, 0, max_cycles).run()
+    assert isinstance(played, Played)
+    return played
+
+
+def test_top_messages_by_hand() -> None:
+    mask = np.array([[[0.9, 0.1, 0.2], [0.5, 0.0, 0.4], [0.3, 0.3, 1.0]]])
+    tie = np.zeros((1, 3, 3))
+    tie[0, 2] = [0.2, 0.1, 0.0]  # between equals the smaller noise wins
+    assert top_messages(mask, tie, 1).tolist() == [[[0, 0, 1], [1, 0, 0], [0, 1, 0]]]
+
+
+@pytest.mark.parametrize(("n_agents", "k"), [(3, 1), (4, 1), (5, 2), (8, 3)])
+def test_half_of_the_others_are_kept(n_agents: int, k: int) -> None:
+    assert kept_messages(n_agents) == k
+    rng = np.random.default_rng(0)
+    top = top_messages(rng.random((5, n_agents, n_agents)), rng.random((5, n_agents, n_agents)), k)
+    assert bool((top.sum(dim=-1) == k).all())
+    assert float(top.diagonal(dim1=1, dim2=2).max()) == 0.0
+
+
+def test_teams_hear_only_what_they_are_left_with() -> None:
+    """A constant explanation is a constant mask, and that is a rollout of its own."""
+    ranks = torch.tensor(
+        [[0.0, 0.9, 0.1, 0.2], [0.9, 0.0, 0.1, 0.2], [0.1, 0.9, 0.0, 0.2], [0.1, 0.2, 0.9, 0.0]]
+    )
+    fixed = Explainer("fixed", lambda policy, observations, generator: ranks.expand(len(observations), 4, 4))
+    top = (ranks == 0.9).float()
+    own = torch.eye(4)
+    seeds = (5, 6)
+    for episode_values, mask in zip(("on_explanation", "on_complement"), (top + own, 1.0 - top), strict=True):
+        expected = roll_out(make_task(TASK, 4), small_policy(6), seeds, max_cycles=30, mask=mask)
+        received = [values[f"reward_{episode_values}"] for values in play(fixed, seeds, max_cycles=30).values]
+        assert received == pytest.approx([episode.reward for episode in expected], abs=1e-5)
+    assert play(fixed, seeds, max_cycles=30) != play(None, seeds, max_cycles=30)
+
+
+def test_the_explainer_is_asked_about_the_states_of_its_own_team() -> None:
+    seen: list[Tensor] = []
+
+    def watch(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+        seen.append(observations.clone())
+        return nearest(policy, observations, generator)
+
+    play(Explainer("watch", watch), (1, 2), max_cycles=9)
+    assert len(seen) == 9
+    assert {tuple(each.shape) for each in seen} == {(2 * BLOCK, 4, 6)}  # whoever is playing
+    first, last = seen[0], seen[-1]
+    assert torch.equal(first[:2], first[BLOCK : BLOCK + 2])  # both teams start alike
+    assert not torch.equal(last[:2], last[BLOCK : BLOCK + 2])  # and part
+    assert torch.equal(last[2:BLOCK], last[:1].expand(BLOCK - 2, -1, -1))  # filled up
+
+
+@pytest.mark.parametrize("explainer", [NEAREST, NOISY, None])
+def test_an_episode_depends_on_none_that_is_played_beside_it(explainer: Explainer | None) -> None:
+    whole, part = play(explainer, (1, 2, 3)), play(explainer, (1, 2))
+    assert whole.values[:2] == part.values
+    assert whole.values == play(explainer, (1, 2, 3)).values
+
+
+def test_the_fidelity_is_the_difference_of_successes() -> None:
+    for values in play(NEAREST).values:
+        kept, dropped = values["success_on_explanation"], values["success_on_complement"]
+        assert kept is not None
+        assert dropped is not None
+        assert values["behavioural_fidelity"] == kept - dropped
+
+
+@pytest.mark.parametrize("name", sorted(BAD))
+def test_an_explainer_that_fails_is_named(name: str) -> None:
+    result = BehaviourBlock(small_policy(6), BAD[name], TASK, 3, (1,), 0, 5).run()
+    assert isinstance(result, InputError)
+    assert repr(name) in str(result)
+
+
+def test_a_team_that_hears_nothing_of_use_does_as_well_on_either_half() -> None:
+    policy = small_policy(6)
+    with torch.no_grad():
+        policy.gat.lin_l.weight.zero_()  # every message is zero
+        policy.gat.lin_l.bias.zero_()
+    result = BehaviourBlock(policy, NEAREST, TASK, 3, (1, 2), 0, 20).run()
+    assert isinstance(result, Played)
+    for values, metric in product(result.values, ("success", "reward")):
+        # Rounding by the place in the batch is all that is left.
+        assert values[f"{metric}_on_explanation"] == pytest.approx(
+            values[f"{metric}_on_complement"], abs=1e-6
+        )

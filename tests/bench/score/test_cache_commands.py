@@ -1,0 +1,82 @@
+"""What goes wrong around a sweep is one sentence, and nothing that was there is lost."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.bench.score.full_disk import files_of_at_most
+from tests.conftest import MakeBundle, Ran, RunCli
+from xmarl_bench.records.files import locked
+
+SIZE = ("--episodes", 2, "--timesteps", 2, "--max-cycles", 4)
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "leaderboard"
+
+
+def score(run_cli: RunCli, folder: Path, out: Path, *more: object) -> Ran:
+    return run_cli("score", "--policy", folder, "--explainer", "attention", *SIZE, "--out", out, *more)
+
+
+def assert_refused(ran: Ran, said: str) -> None:
+    assert ran.code == 2, ran
+    assert len(ran.err.splitlines()) == 1, ran.err
+    assert said in ran.err
+
+
+def test_two_sweeps_into_one_folder(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
+    with locked(out):
+        assert_refused(score(run_cli, make_bundle(), out), f"another run is writing to {out}")
+    assert score(run_cli, make_bundle(), out).code == 0
+    assert not list(out.glob(".*"))
+
+
+@pytest.mark.parametrize("size", [100, 6_000])  # not even a result, and not an entry
+def test_a_full_disk(size: int, run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path) -> None:
+    folder = make_bundle()
+    assert score(run_cli, folder, out).code == 0
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    with files_of_at_most(size):
+        assert_refused(score(run_cli, folder, out, "--no-resume"), "cannot be written (File too large)")
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    assert not list((tmp_path / "cells").rglob("*.tmp"))
+    assert score(run_cli, folder, out).code == 0
+    assert (out / "leaderboard.json").read_bytes() == before[out / "leaderboard.json"]
+
+
+def test_an_entry_that_has_vanished(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
+    (out / "entries").mkdir(parents=True)
+    (out / "entries" / "gone.json").symlink_to(out / "nowhere.json")
+    assert_refused(score(run_cli, make_bundle(), out), "gone.json cannot be read (No such file or directory)")
+    assert [path.name for path in (out / "entries").iterdir()] == ["gone.json"]
+
+
+def test_cells_that_cannot_be_written(
+    run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert_refused(score(run_cli, make_bundle(), out, "--cells", tmp_path / "file"), "cannot be written")
+    assert not out.exists()
+
+
+def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
+    assert_refused(run_cli("status"), "no run is known")
+    assert score(run_cli, make_bundle(), out).code == 0
+    told = run_cli("status", out)
+    assert told.code == 0
+    assert f"{out}: finished, 5 of 5 cells, 1 of 1 entries." in told.out
+    assert "xmarl-bench score --policy" in told.out
+    (row,) = json.loads(run_cli("status", "--json").out)
+    assert row["state"] == "finished"
+    assert row["cells"] == [5, 5]
+    for result in (out.parent / "cells").glob("??/*"):
+        result.unlink()
+    (row,) = json.loads(run_cli("status", "--json").out)
+    assert row["cells"] == [0, 5]
+    assert row["explainers"] == {"attention": [0, 2]}  # explained, and acted on
+    assert_refused(run_cli("status", out / "elsewhere"), "no run is known")

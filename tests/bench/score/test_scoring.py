@@ -1,0 +1,265 @@
+"""Entries repeat byte for byte, whatever the number of processes and of parallel episodes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from xmarl_envs import TASKS
+
+from tests.bench.example_plugins import BAD, slow
+from tests.conftest import MakeBundle
+from xmarl_bench.entry.file import write_entry
+from xmarl_bench.entry.schema import BehaviourMetrics, Entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.parallel.workers import Workers
+from xmarl_bench.plugins.registry import as_found, find_explainer
+from xmarl_bench.policy import load_policy
+from xmarl_bench.records.files import canonical_json
+from xmarl_bench.reproducible import FIRST_SEED, derived_seed, episode_seeds
+from xmarl_bench.score.request import Cell, Request, Sampling
+from xmarl_bench.score.scoring import entries_of, score, score_requests
+from xmarl_bench.score.selection import plan
+
+
+def bytes_of(entry: Entry) -> bytes:
+    """All of an entry but where and how fast it was made."""
+    return canonical_json(entry.model_dump(mode="json", exclude={"provenance", "cost"}))
+
+
+@pytest.mark.parametrize("task", sorted(TASKS))
+def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make_bundle: MakeBundle) -> None:
+    folder = make_bundle(task)
+    runs = [
+        score(folder, "random", episodes=3, max_cycles=20, parallel_episodes=width)
+        for width in (50, 50, 1, 2)
+    ]
+    assert len({bytes_of(entry) for entry in runs}) == 1
+    assert runs[0].results[0].episodes[0].timesteps == 20
+
+
+def test_one_and_two_processes_write_the_same_bytes(make_bundle: MakeBundle) -> None:
+    policies = [load_policy(make_bundle(task, name=task)) for task in sorted(TASKS)]
+    fast, few = Sampling(episodes=4, max_cycles=15), Sampling(episodes=2, timesteps=1, max_cycles=15)
+    requests = [
+        Request(policy, card, find_explainer("attention"), (Cell(card.task, 3),), fast)
+        for policy, card in policies
+    ]
+    requests += [
+        Request(*policies[0], find_explainer(name), requests[0].cells, few, behaviour_episodes=0)
+        for name in ("gnn_explainer", "graphmask-pyg")
+    ]
+    one = [bytes_of(entry) for entry in entries_of(score_requests(requests))]
+    two = [
+        bytes_of(entry)
+        for entry in entries_of(score_requests(requests, workers=Workers(2), parallel_episodes=1))
+    ]
+    assert one == two
+
+
+def test_an_entry_does_not_depend_on_what_else_is_scored(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    samplings = Sampling(episodes=4, max_cycles=20), Sampling(episodes=2, timesteps=3, max_cycles=20)
+    names = ("random", "attention")
+    requests = [
+        Request(policy, card, find_explainer(name), (Cell(card.task, 3),), sampling)
+        for name in names
+        for sampling in samplings
+    ]
+    together = {bytes_of(entry) for entry in entries_of(score_requests(requests))}
+    apart = {
+        bytes_of(entry) for request in reversed(requests) for entry in entries_of(score_requests([request]))
+    }
+    assert together == apart
+    assert len(together) == 4
+
+
+def test_another_seed_is_another_score(make_bundle: MakeBundle) -> None:
+    folder = make_bundle()
+    first, second = (score(folder, "attention", episodes=2, max_cycles=10, seed=seed) for seed in (0, 1))
+    assert first.results[0].metrics.fid_plus != second.results[0].metrics.fid_plus
+    assert not set(first.protocol.seeds) & set(second.protocol.seeds)
+
+
+def test_what_an_entry_says(make_bundle: MakeBundle) -> None:
+    entry = score(make_bundle("blind_passage_v0"), "all-ones", episodes=3, timesteps=4, max_cycles=12)
+    (cell,) = entry.results
+    assert (cell.task, cell.n_agents, cell.max_cycles) == ("blind_passage_v0", 3, 12)
+    assert [row.seed for row in cell.episodes] == list(entry.protocol.seeds) == episode_seeds(0, 3)
+    assert [row.timesteps for row in cell.episodes] == [4, 4, 4]
+    assert cell.metrics.no_object_collision is not None
+    assert cell.metrics.gef is not None
+    assert cell.metrics.fid_minus.value == cell.metrics.gef.value == 0.0
+    assert cell.metrics.fid_minus.interval == (0.0, 0.0)
+    assert cell.metrics.mask_mass.value == 1.0
+    assert (cell.metrics.reward.n, cell.metrics.reward.n_nan) == (3, 0)
+    assert entry.explainer.control
+    assert entry.cost.explained_timesteps == 12
+    assert entry.policy.attention_entropy == 0.5
+    assert entry.provenance.packages["torch"] == version("torch")
+
+
+def test_every_entry_carries_the_controls_on_the_same_states(make_bundle: MakeBundle) -> None:
+    folder = make_bundle()
+    entry, ones = (score(folder, name, episodes=2, max_cycles=9) for name in ("attention", "all-ones"))
+    (cell,), (own,) = entry.results, ones.results
+    assert set(cell.controls) == {*CONTROLS, "inverted"}
+    for name, summary in cell.controls["all-ones"]:
+        if name not in BehaviourMetrics.model_fields:
+            assert summary == getattr(own.metrics, name), name
+    assert cell.controls["all-ones"].fid_minus.value == 0.0
+    oracle, soft = (cell.controls[name].fid_delta.value for name in ("oracle", "soft-oracle"))
+    assert oracle is not None
+    assert soft is not None
+    for name, control in cell.controls.items():
+        assert (control.fid_delta.value or 0.0) <= soft + 1e-6, name
+    for name in ("all-ones", "zeros", "bernoulli", "self"):
+        assert (cell.controls[name].fid_delta.value or 0.0) <= oracle + 1e-6, name
+    inverse = -(cell.metrics.fid_delta.value or 0.0)
+    assert cell.controls["inverted"].fid_delta.value == pytest.approx(inverse, abs=1e-7)
+
+
+def test_what_is_not_measured_says_why(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+
+    def reasons(name: str, n_agents: int, behaviour_episodes: int | None) -> dict[str, str]:
+        cell = Cell(card.task, n_agents)
+        sampling = Sampling(episodes=1, timesteps=1, max_cycles=2)
+        request = Request(policy, card, find_explainer(name), (cell,), sampling, behaviour_episodes)
+        (entry,) = entries_of(score_requests([request]))
+        (result,) = entry.results
+        nulls = {name for name, summary in result.metrics if summary is None}
+        assert nulls == set(result.not_measured)
+        return result.not_measured
+
+    behaviour = set(BehaviourMetrics.model_fields)
+    assert set(reasons("attention", 3, None)) == {"seed_stability", "no_object_collision"}
+    assert set(reasons("random", 3, 0)) == {"no_object_collision"} | behaviour
+    assert "at every step" in reasons("random", 3, 0)["behavioural_fidelity"]
+    two = reasons("random", 2, None)
+    assert set(two) == {
+        "no_object_collision", "comm_topk_fid_delta", "comm_budgeted_fidelity", *behaviour
+    }  # fmt: skip
+    assert "needs 3 agents" in two["comm_budgeted_fidelity"]
+    many = reasons("random", 11, 0)
+    assert {name for name in many if "at most 10 agents, got 11" in many[name]} == {
+        "budgeted_fidelity", "comm_budgeted_fidelity", "renorm_budgeted_fidelity", "renorm_topk_fid_delta",
+    }  # fmt: skip
+
+
+def test_fewer_behaviour_episodes_are_the_first_of_more(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    cells, sampling = (Cell(card.task, 3),), Sampling(episodes=4, max_cycles=12)
+    requests = [
+        Request(policy, card, find_explainer(name), cells, sampling, played)
+        for name in ("attention", "bernoulli")
+        for played in (4, 2, 0)
+    ]
+    for entry, request in zip(entries_of(score_requests(requests)), requests, strict=True):
+        (cell,) = entry.results
+        n_played = request.behaviours(cells[0])
+        assert cell.behaviour_episodes == n_played
+        played = [row.reward_on_explanation is not None for row in cell.episodes]
+        assert played == [k < n_played for k in range(4)]
+        for metrics in (cell.metrics, cell.controls["random"]):
+            summary = metrics.reward_on_complement
+            assert (summary.n, summary.n_nan) == (n_played, 0) if summary else n_played == 0
+    whole, half = (entry.results[0].episodes[:2] for entry in entries_of(score_requests(requests[:2])))
+    assert whole == half
+
+
+def test_two_explainers_of_one_name_are_refused(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    requests = [
+        Request(policy, card, as_found(replace(slow, summary=text)), (Cell(card.task, 3),), Sampling(1))
+        for text in ("one", "another")
+    ]
+    with pytest.raises(InputError, match="two explainers are named 'slow'"):
+        next(entries_of(score_requests(requests)))
+
+
+def test_tasks_without_walls_have_no_object_collision(make_bundle: MakeBundle) -> None:
+    entry = score(make_bundle(), "all-ones", episodes=1, max_cycles=5)
+    assert entry.results[0].metrics.no_object_collision is None
+    assert entry.results[0].metrics.reward.interval is None  # one episode has no interval
+
+
+def test_a_policy_scores_with_any_team_size_its_task_takes(make_bundle: MakeBundle) -> None:
+    folder = make_bundle("blind_passage_v0")
+    assert score(folder, "attention", n_agents=5, episodes=1, max_cycles=5).results[0].n_agents == 5
+    with pytest.raises(InputError, match="1 to 5 agents, got 6"):
+        score(folder, "attention", n_agents=6)
+
+
+@pytest.mark.parametrize("name", sorted(BAD))
+def test_a_bad_explainer_yields_nothing(name: str, make_bundle: MakeBundle) -> None:
+    with pytest.raises(InputError, match=repr(name)):
+        score(make_bundle(), BAD[name], episodes=2, max_cycles=10)
+
+
+def test_a_bad_explainer_is_refused_before_a_good_one_is_scored(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    requests = [
+        Request(policy, card, found, (Cell(card.task, 3),), Sampling(episodes=2, max_cycles=10))
+        for found in (find_explainer("attention"), as_found(BAD["nan"]))
+    ]
+    with pytest.raises(InputError, match="'nan'"):
+        next(entries_of(score_requests(requests)))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"episodes": 0}, "episodes"),
+        ({"seed": -1}, "seed"),
+        ({"timesteps": 0}, "timesteps"),
+        ({"max_cycles": 0}, "max_cycles"),
+        ({"jobs": 0}, "jobs"),
+        ({"parallel_episodes": 0}, "parallel_episodes"),
+        ({"behaviour_episodes": -1}, "behaviour_episodes"),
+        ({"task": "blind_passage_v0"}, "observations of 6 entries"),
+        ({"task": "nowhere_v0"}, "unknown task 'nowhere_v0'"),
+        ({"n_agents": 0}, "got 0"),
+    ],
+)
+def test_options_out_of_range_are_refused(
+    options: dict[str, int | str], said: str, make_bundle: MakeBundle
+) -> None:
+    with pytest.raises(InputError, match=said):
+        score(make_bundle(), "attention", **options)  # type: ignore[arg-type]
+
+
+def test_slow_explainers_get_few_states_and_the_others_both(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    selected = [(policy, card, (Cell(card.task, 3),))]
+    explainers = [find_explainer("random"), find_explainer("attention"), as_found(slow)]
+    full, few = Sampling(episodes=50), Sampling(episodes=5, timesteps=20)
+    planned = [
+        (each.explainer.explainer.name, each.sampling) for each in plan(selected, explainers, full, few)
+    ]
+    assert planned == [
+        ("random", full), ("random", few), ("attention", full), ("attention", few), ("slow", few),
+    ]  # fmt: skip
+    assert {each.sampling for each in plan(selected, explainers[:2], full, few)} == {full}
+    assert {each.sampling for each in plan(selected, explainers, full)} == {full}
+
+
+def test_seeds_are_far_from_those_of_training_and_never_shared() -> None:
+    assert episode_seeds(0, 3) == [FIRST_SEED, FIRST_SEED + 1, FIRST_SEED + 2]
+    assert min(episode_seeds(0, 1)) > 2**31
+    assert max(episode_seeds(10**9 - 1, 10**6)) < 2**53
+    assert episode_seeds(1, 1)[0] == episode_seeds(0, 10**6)[-1] + 1
+    assert len({derived_seed(*parts) for parts in [("a", 1), ("a1",), ("a", 2), (1, "a")]}) == 4
+
+
+def test_written_entries_are_the_same_files(tmp_path: Path, make_bundle: MakeBundle) -> None:
+    folder = make_bundle()
+    names = [
+        write_entry(tmp_path / "entries", score(folder, "random", episodes=2, max_cycles=10, seed=seed)).name
+        for seed in (0, 0, 1)
+    ]
+    assert names[0] == names[1] != names[2]
+    assert len(list((tmp_path / "entries").iterdir())) == 2

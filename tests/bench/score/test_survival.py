@@ -1,0 +1,121 @@
+"""A sweep that is killed at any moment and run again writes what an undisturbed one writes, byte for byte.
+
+XMARL_BENCH_KILLS=50 python -m pytest tests/bench/sweep/test_survival.py kills it at so many moments.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from xmarl_envs import TASKS
+
+from tests.bench.forks import Ask, forks
+from tests.bench.zygote import Request
+from tests.policies import small_policy
+from xmarl_bench.entry.file import read_entries
+from xmarl_bench.policy import save_policy
+
+KILLS = int(os.environ.get("XMARL_BENCH_KILLS", "4"))
+TASK = "blind_discovery_v0"
+Inodes = Mapping[Path, int]
+
+pytestmark = pytest.mark.slow
+
+
+def results(cells: Path) -> Inodes:
+    """Every result on disk; one that is written again is another file."""
+    return {path: path.stat().st_ino for path in cells.glob("??/*") if not path.name.startswith(".")}
+
+
+def hidden(folder: Path) -> set[str]:
+    return {path.name for path in folder.rglob(".*")}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One command line, and what it writes when nothing disturbs it, in one process."""
+
+    ask: Ask
+    arguments: tuple[str, ...]
+    board: bytes
+    entry_ids: list[str]
+    n_results: int
+    seconds: float
+
+    @staticmethod
+    def request(arguments: tuple[str, ...], out: Path, cells: Path, jobs: int) -> Request:
+        folders = ("--out", str(out), "--cells", str(cells), "--jobs", str(jobs))
+        return {"command": ["xmarl-bench", "score", *arguments, *folders]}
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sweep]:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    arguments = [
+        "--explainer",
+        "attention",
+        "--explainer",
+        "random",
+        "--episodes",
+        "12",
+        "--max-cycles",
+        "12",
+    ]
+    for seed, name in enumerate(("one", "two")):
+        policy = small_policy(len(TASKS[TASK].observation_names), seed)
+        save_policy(folder / name, policy, name=name, task=TASK, n_agents=3, attention_entropy=0.5)
+        arguments += ["--policy", str(folder / name)]
+    out, cells = folder / "out", folder / "cells"
+    with forks() as ask:
+        whole = ask(Sweep.request(tuple(arguments), out, cells, jobs=1))
+        assert whole["code"] == 0, whole["err"]
+        ids = [entry.entry_id for _, entry in read_entries(out / "entries")]
+        assert len(ids) == 4
+        board = (out / "leaderboard.json").read_bytes()
+        yield Sweep(ask, tuple(arguments), board, ids, len(results(cells)), whole["seconds"])
+
+
+@pytest.mark.parametrize(
+    ("victim", "jobs", "kills"),
+    [
+        (victim, jobs, kills)
+        for victim, jobs, kills in (
+            ("main", 1, KILLS - KILLS // 5), ("main", 2, KILLS // 5), ("worker", 2, max(1, KILLS // 5)),
+        )
+        if kills
+    ],
+)  # fmt: skip
+def test_killed_at_any_moment(victim: str, jobs: int, kills: int, sweep: Sweep, tmp_path: Path) -> None:
+    out, cells = tmp_path / "out", tmp_path / "cells"
+    rng, struck, finished = np.random.default_rng(0), 0, 0
+    while struck < kills or not finished:
+        before = results(cells)
+        request = Sweep.request(sweep.arguments, out, cells, jobs)
+        if struck < kills:
+            request["victim"] = victim
+            if jobs == 1:
+                request["kill_after"] = float(rng.uniform(0.0, sweep.seconds))
+            else:  # nearly all of the time passes before workers have imported what they need
+                request["kill_at"] = str(cells), int(rng.integers(sweep.n_results))
+        done = sweep.ask(request)
+        struck += done["killed"]
+        after = results(cells)
+        assert {path: after.get(path) for path in before} == before  # nothing finished is computed again
+        if done["code"] != 0:
+            assert done["killed"], done["err"]
+            assert victim == "main"  # a run gets over the death of a worker
+            continue
+        finished += 1
+        assert (out / "leaderboard.json").read_bytes() == sweep.board
+        assert [entry.entry_id for _, entry in read_entries(out / "entries")] == sweep.entry_ids
+        assert hidden(out) == set()
+        assert hidden(cells) == {".gitignore"}
+        shutil.rmtree(out)
+        shutil.rmtree(cells)
+    assert struck == kills

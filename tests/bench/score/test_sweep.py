@@ -1,0 +1,188 @@
+"""A sweep computes what is missing and nothing else, and one failure stops no other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.bench.example_plugins import BAD
+from tests.conftest import MakeBundle
+from xmarl_bench.entry.schema import Entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.plugins.registry import FoundExplainer, as_found, find_explainer
+from xmarl_bench.policy import Policy, load_policy
+from xmarl_bench.rollout.episodes import Rollout
+from xmarl_bench.score import sweep as module
+from xmarl_bench.score.measure import Unit
+from xmarl_bench.score.request import Cell, Request, Sampling
+from xmarl_bench.score.run_record import run_records
+from xmarl_bench.score.scoring import Failed, score_requests
+from xmarl_bench.score.store import Store
+from xmarl_bench.score.sweep import Handed, run
+
+SAMPLING = Sampling(episodes=12, timesteps=2, max_cycles=5)
+
+
+def request(
+    folder: Path, found: FoundExplainer | str = "attention", sampling: Sampling = SAMPLING
+) -> Request:
+    policy, card = load_policy(folder)
+    explainer = find_explainer(found) if isinstance(found, str) else found
+    return Request(policy, card, explainer, (Cell(card.task, card.n_agents),), sampling, 0)
+
+
+class Spy:
+    """What workers were handed: rollouts, and groups by the explainers in them."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seen: list[str] = []
+        play = Rollout.play
+
+        def spied_play(rollout: Rollout) -> object:
+            self.seen.append(f"play {len(rollout.seeds)}")
+            return play(rollout)
+
+        def spied_run(handed: Handed) -> object:
+            units = handed.load
+            if isinstance(units, tuple):
+                unit: Unit = units[0]
+                names = [each.name for each in unit.explainers] + ["shared"] * unit.shared
+                self.seen.append(f"{' '.join(names)} {len(units)}")
+            return run(handed)
+
+        monkeypatch.setattr(Rollout, "play", spied_play)
+        monkeypatch.setattr(module, "run", spied_run)
+
+    def take(self) -> list[str]:
+        seen, self.seen = self.seen, []
+        return seen
+
+
+@pytest.fixture
+def spy(monkeypatch: pytest.MonkeyPatch) -> Spy:
+    return Spy(monkeypatch)
+
+
+def outcomes(folder: Path, requests: Sequence[Request], **options: bool) -> list[Entry | Failed]:
+    return list(score_requests(requests, store=Store(folder), **options))  # type: ignore[arg-type]
+
+
+def test_what_is_there_is_not_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
+    one, store = make_bundle(name="one"), tmp_path / "cells"
+    first = outcomes(store, [request(one)])
+    assert spy.take() == ["play 10", "play 2", "attention shared 10", "attention shared 2"]
+    second = outcomes(store, [request(one), request(one, "attention-rowmax")])
+    assert spy.take() == ["attention-rowmax 10", "attention-rowmax 2"]
+    assert second[:1] == first  # provenance and cost are those of the first time
+    longer = replace(SAMPLING, episodes=22)
+    outcomes(store, [request(one, sampling=longer)])
+    assert spy.take() == ["play 10", "play 2", "attention shared 10", "attention shared 2"]
+    assert outcomes(store, [request(one)], fresh=True) != first
+    assert spy.take() == ["play 10", "play 2", "attention shared 10", "attention shared 2"]
+
+
+def test_a_damaged_result_is_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
+    asked, store = request(make_bundle()), Store(tmp_path / "cells")
+    (whole,) = outcomes(store.folder, [asked])
+    assert isinstance(whole, Entry)
+    spy.take()
+    files = sorted(path for path in store.folder.glob("??/*"))
+    assert len(files) == 7  # two of each kind, and the entry
+    for path in files:
+        path.write_bytes(path.read_bytes()[:-1])
+    (again,) = outcomes(store.folder, [asked])
+    assert isinstance(again, Entry)
+    assert again.entry_id == whole.entry_id
+    assert len(spy.take()) == 4
+
+
+def picky(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """Takes teams of three alone."""
+    if observations.shape[1] != 3:
+        raise ValueError("three, please")
+    return torch.ones(*observations.shape[:2], observations.shape[1])
+
+
+PICKY = as_found(Explainer("picky", picky))
+
+
+def test_a_failure_stops_no_other_and_is_tried_again(
+    make_bundle: MakeBundle, tmp_path: Path, spy: Spy
+) -> None:
+    three, four = make_bundle(name="three"), make_bundle(name="four", n_agents=4)
+    requests = [request(folder, found) for folder in (four, three) for found in (PICKY, "attention")]
+    first = outcomes(tmp_path / "cells", requests)
+    failed, *others = first
+    assert spy.take()[4:6] == [
+        "attention shared 10",
+        "attention shared 2",
+    ]  # not picky's: it was tried before
+    assert isinstance(failed, Failed)
+    assert "'picky' failed" in failed.error
+    assert "three, please" in failed.error
+    assert str(failed).startswith("picky on four: ")
+    assert [type(each) for each in others] == [Entry] * 3
+    again = outcomes(tmp_path / "cells", requests)
+    assert again[1:] == others
+    assert isinstance(again[0], Failed)
+    assert spy.take() == ["picky 10", "picky 2"]
+
+
+def test_an_explainer_that_works_nowhere_is_refused_before_anything_is_explained(
+    make_bundle: MakeBundle, tmp_path: Path, spy: Spy
+) -> None:
+    folder = make_bundle()
+    with pytest.raises(InputError, match="'nan'"):
+        outcomes(tmp_path / "cells", [request(folder), request(folder, as_found(BAD["nan"]))])
+    assert spy.take() == ["play 10", "play 2"]
+
+
+def test_blame_is_exact_where_a_whole_group_fails(
+    make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where memory ends, which no explainer can be asked about."""
+
+    def out_of_memory(handed: Handed) -> object:
+        units = handed.load
+        if isinstance(units, tuple) and any(each.name == "occlusion" for each in units[0].explainers):
+            raise MemoryError("no more")
+        return run(handed)
+
+    monkeypatch.setattr(module, "run", out_of_memory)
+    folder = make_bundle()
+    found = outcomes(tmp_path / "cells", [request(folder, name) for name in ("occlusion", "attention")])
+    assert isinstance(found[0], Failed)
+    assert found[0].error == "MemoryError: no more"
+    assert isinstance(found[1], Entry)
+    failures = [path.read_text() for path in (tmp_path / "cells").glob("??/*.failed")]
+    assert len(failures) == 2
+    assert all("MemoryError: no more" in text and "Traceback" in text for text in failures)
+    monkeypatch.setattr(module, "run", run)
+    assert all(
+        isinstance(each, Entry) for each in outcomes(tmp_path / "cells", [request(folder, "occlusion")])
+    )
+    assert not list((tmp_path / "cells").glob("??/*.failed"))
+
+
+def test_the_record_of_a_run_says_how_far_it_is(make_bundle: MakeBundle, tmp_path: Path) -> None:
+    store, out = Store(tmp_path / "cells"), tmp_path / "out"
+    three, four = make_bundle(name="three"), make_bundle(name="four", n_agents=4)
+    requests = [request(three), request(four, PICKY), request(three, PICKY)]
+    out.mkdir()
+    results = score_requests(requests, store=store, out=out)
+    next(results)
+    (record,) = run_records(store)
+    progress = record.progress(store)
+    assert progress.running
+    assert progress.entries == 1
+    assert progress.explainers["attention"] == (2, 2)
+    list(results)
+    progress = record.progress(store)
+    assert (progress.done, progress.pieces, progress.entries) == (12, 14, 2)
+    assert {text.splitlines()[0] for text in progress.failures.values()} != set()

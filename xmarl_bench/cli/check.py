@@ -1,0 +1,82 @@
+"""`xmarl-bench check explainer|policy`: exit code 1 where a check fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from xmarl_bench.cli.options import AsJson, TrustCode
+
+if TYPE_CHECKING:
+    from xmarl_bench.checks import Finding
+
+check = typer.Typer(
+    name="check", help="Check an explainer or a policy as a referee would.", no_args_is_help=True
+)
+
+
+@check.command("explainer")
+def check_explainer(
+    name: Annotated[str, typer.Argument(help="Explainer name, path/to/file.py:Name or module:Name.")],
+    policy: Annotated[
+        str | None, typer.Option(help="Policy to explain; the first one that is installed by default.")
+    ] = None,
+    timesteps: Annotated[int, typer.Option(min=2, help="States to explain; no score uses them.")] = 20,
+    trust_code: TrustCode = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check that an explainer's masks are masks, repeat, and leave no traces; 1 where a check fails."""
+    from xmarl_bench.checks.explainer_checks import check_explainer as run
+    from xmarl_bench.plugins.registry import find_explainer, find_policies, open_policy, unknown
+
+    found = find_explainer(name)
+    chosen = policy if policy is not None else next(iter(find_policies()), None)
+    if chosen is None:
+        raise unknown("policy", "", [], "so give --policy a bundle")
+    network, card = open_policy(chosen, trust_code=trust_code)
+    findings = run(found.explainer, network, card.task, card.n_agents, timesteps)
+    report(f"explainer {found.explainer.name} on {card.name}", findings, as_json=as_json)
+
+
+@check.command("policy")
+def check_policy(
+    name: Annotated[str, typer.Argument(help="Policy name, folder or zip of a bundle, or module:factory.")],
+    agents: Annotated[int | None, typer.Option(help="Team size; the policy's own by default.")] = None,
+    timesteps: Annotated[int, typer.Option(min=2, help="States to try; no score uses them.")] = 20,
+    episodes: Annotated[int, typer.Option(min=2, help="Episodes to play beside random actions.")] = 20,
+    trust_code: TrustCode = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check that a policy is one function of a blind team that meets in messages; 1 where a check fails."""
+    from xmarl_bench.checks.policy_checks import check_policy as run
+    from xmarl_bench.plugins.registry import open_policy
+    from xmarl_bench.score.request import Cell, check_fit
+
+    network, card = open_policy(name, trust_code=trust_code)
+    cell = Cell(card.task, card.n_agents if agents is None else agents)
+    check_fit(card, cell)
+    findings = run(network, cell, timesteps=timesteps, episodes=episodes)
+    report(f"policy {card.name} with {cell.n_agents} agents", findings, as_json=as_json)
+
+
+def report(subject: str, findings: Iterable[Finding], *, as_json: bool) -> None:
+    """Print the findings on `subject`; raises typer.Exit(1) where a check failed."""
+    from rich.table import Table
+
+    from xmarl_bench.cli.tables import console, print_json
+
+    found = list(findings)
+    failed = sum(finding.passed is False for finding in found)
+    if as_json:
+        print_json({"subject": subject, "passed": not failed, "findings": [each.record() for each in found]})
+    else:
+        table = Table("check", "", "", title=subject, title_justify="left", show_lines=False)
+        words = {True: "[green]pass[/green]", False: "[red]FAIL[/red]", None: "[dim]n/a[/dim]"}
+        for each in found:
+            table.add_row(each.check, words[each.passed], each.said)
+        console().print(table)
+        print(f"{subject}: {failed} of {len(found)} checks failed." if failed else f"{subject}: all passed.")
+    if failed:
+        raise typer.Exit(1)

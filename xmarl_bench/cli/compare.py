@@ -1,0 +1,96 @@
+"""`xmarl-bench compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from xmarl_bench.cli.options import AsJson
+
+if TYPE_CHECKING:
+    from xmarl_bench.compare.comparison import Comparison
+    from xmarl_bench.metrics.statistics import Difference
+
+
+def compare(
+    entry: Annotated[
+        list[str], typer.Argument(help="Entry files, folders of entries, or explainers named in --entries.")
+    ],
+    metric: Annotated[
+        list[str] | None,
+        typer.Option(help="What to compare by, comm_budgeted_fidelity by default. Repeatable."),
+    ] = None,
+    entries: Annotated[Path, typer.Option(help="Folder where explainers' names are looked up.")] = Path(
+        "leaderboard/entries"
+    ),
+    plot: Annotated[
+        Path | None, typer.Option(help="Picture to write: .png, .svg or .pdf (needs the extra 'plots').")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare explainers on the same policies and episodes: differences, intervals, tests, tie groups."""
+    from xmarl_bench.cli import tables
+    from xmarl_bench.compare.comparison import compare as run
+    from xmarl_bench.compare.comparison import records
+    from xmarl_bench.compare.matching import blocks_of, read_named
+    from xmarl_bench.compare.picture import check_picture, draw
+
+    if plot is not None:
+        check_picture(plot)
+    blocks = blocks_of(read_named(entry, entries))
+    comparisons = [run(blocks, each) for each in dict.fromkeys(metric or ["comm_budgeted_fidelity"])]
+    if plot is not None:
+        draw(comparisons, plot)
+    if as_json:
+        tables.print_json(records(comparisons))
+        return
+    for comparison in comparisons:
+        _print(comparison)
+    if plot is not None:
+        print(f"Picture in {plot}.")
+
+
+def _print(comparison: Comparison) -> None:
+    from xmarl_bench.cli import tables
+
+    n = len(comparison.states)
+    print(f"{comparison.metric}, {comparison.better} is better, on {n} policies and cells:")
+    for states in comparison.states:
+        print(f"  {states}")
+    tables.print_rows(
+        [
+            {
+                "explainer": each.explainer,
+                "mean": _number(each.mean.value),
+                "95 %": _interval(each.mean),
+                "episodes": each.mean.n,
+                "tie group": each.tie_group,
+            }
+            for each in comparison.standings
+        ]
+    )
+    tables.print_rows(
+        [
+            {
+                "pair": f"{pair.first} - {pair.second}",
+                "difference": _number(pair.difference.value),
+                "95 %": _interval(pair.difference),
+                "Mann-Whitney U": "-" if pair.test is None else f"{pair.test.u:g}",
+                "effect": "-" if pair.test is None else f"{pair.test.effect:+.2f}",
+                "p": "-" if pair.test is None else f"{pair.test.p:.2g}",
+                "Bonferroni": "-" if pair.p_bonferroni is None else f"{pair.p_bonferroni:.2g}",
+                "Holm": "-" if pair.p_holm is None else f"{pair.p_holm:.2g}",
+            }
+            for pair in comparison.pairs
+        ]
+    )
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def _interval(difference: Difference) -> str:
+    return "-" if difference.interval is None else "{:.4f} {:.4f}".format(*difference.interval)

@@ -1,0 +1,74 @@
+"""`xmarl-bench convert`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def convert(
+    weights: Annotated[
+        Path,
+        typer.Argument(help="State dict of torch.save, safetensors, or checkpoint.zip of xmarl-train."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the bundle to write; without it the tensors are listed.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the policy; the folder's by default.")] = None,
+    task: Annotated[str | None, typer.Option(help="Task it was trained for.")] = None,
+    agents: Annotated[int, typer.Option(help="Team size it was trained for.")] = 3,
+    architecture: Annotated[
+        Path | None,
+        typer.Option(help="Architecture record as JSON; a checkpoint of xmarl-train holds its own."),
+    ] = None,
+    key_map: Annotated[
+        Path | None,
+        typer.Option(help="JSON object: beginning of a tensor's name there -> here, null to leave it out."),
+    ] = None,
+    attention_entropy: Annotated[
+        float, typer.Option(help="Weight lambda of the attention-entropy term in training.")
+    ] = 0.0,
+    training_seed: Annotated[int | None, typer.Option(help="Seed of its training.")] = None,
+) -> None:
+    """Make a policy bundle of weights that others saved. Nothing in the file is executed."""
+    from pydantic import ValidationError
+
+    from xmarl_bench.cli import tables
+    from xmarl_bench.errors import InputError
+    from xmarl_bench.plugins.registry import check_task
+    from xmarl_bench.policy import build_policy, save_policy
+    from xmarl_bench.policy import convert as reading
+    from xmarl_bench.policy.shapes import weight_shapes
+
+    tensors = reading.read_tensors(weights)
+    if out is None:
+        tables.print_rows([{"tensor": key, "shape": str(tuple(t.shape))} for key, t in tensors.items()])
+        return
+    if task is None:
+        raise InputError("a policy is for a task: give --task.")
+    check_task(task)
+    recorded = reading.sb3_architecture(weights, tensors) if architecture is None else None
+    record = reading.read_architecture(architecture) if architecture is not None else recorded
+    if record is None:
+        raise InputError(f"{weights} does not say what network it is of: give --architecture.")
+    default = reading.SB3_KEYS if recorded is not None else {"": ""}
+    renamed = reading.rename(tensors, default if key_map is None else reading.read_key_map(key_map))
+    policy = build_policy(record, reading.dense(renamed, weight_shapes(record)))
+    try:
+        card = save_policy(
+            out,
+            policy,
+            name=out.resolve().name if name is None else name,
+            task=task,
+            n_agents=agents,
+            attention_entropy=attention_entropy,
+            training_seed=training_seed,
+            training={"converted_from": weights.name},
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"no policy can have this {first['loc'][0]}: {first['msg']}.") from None
+    left_out = len(tensors) - len(renamed)
+    print(f"{out}: policy {card.name!r} of {len(renamed)} tensors, {left_out} left out.")

@@ -1,0 +1,37 @@
+"""`xmarl-bench list`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+from xmarl_bench.cli.options import AsJson
+
+
+class Kind(StrEnum):
+    tasks = "tasks"
+    policies = "policies"
+    explainers = "explainers"
+
+
+def list_(kind: Annotated[Kind, typer.Argument(help="What to list.")], as_json: AsJson = False) -> None:
+    """List tasks, policies or explainers."""
+    from xmarl_bench.cli import tables
+    from xmarl_bench.errors import InputError
+
+    failures: Sequence[InputError] = ()
+    if kind is Kind.tasks:
+        rows = tables.tasks()
+    elif kind is Kind.policies:
+        rows, failures = tables.policies()
+    else:
+        rows, failures = tables.explainers()
+    if as_json:
+        tables.print_json(rows)
+    elif rows or not failures:
+        tables.print_rows(rows)
+    if failures:  # one plugin that does not load hides no other
+        raise InputError(" And ".join(map(str, failures)))

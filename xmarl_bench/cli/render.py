@@ -1,0 +1,44 @@
+"""`xmarl-bench render`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from xmarl_bench.cli.options import MaxCycles, TrustCode
+
+
+def render(
+    task: Annotated[str | None, typer.Option(help="Task; the policy's own by default.")] = None,
+    policy: Annotated[
+        str, typer.Option(help="Policy name or folder of a policy bundle, 'heuristic' or 'random'.")
+    ] = "heuristic",
+    explainer: Annotated[str | None, typer.Option(help="Explainer to draw over the team.")] = None,
+    agents: Annotated[int | None, typer.Option(help="Team size; the policy's own by default, or 3.")] = None,
+    seed: Annotated[int, typer.Option(help="As of `score`, whose episodes these are.")] = 0,
+    episode: Annotated[int, typer.Option(help="Which of the episodes that `score` plays, from 0.")] = 0,
+    max_cycles: MaxCycles = None,
+    trust_code: TrustCode = False,
+    out: Annotated[
+        Path, typer.Option(help="File to write: .gif, .avif (small), .mp4, or .png, a sheet of six moments.")
+    ] = Path("episode.gif"),
+) -> None:
+    """Draw an episode, and over it who influences whom according to an explainer."""
+    from xmarl_bench.plugins.registry import find_explainer
+    from xmarl_bench.render.animation import check_target, write_animation
+    from xmarl_bench.render.recording import record
+    from xmarl_bench.score.selection import select_team
+
+    check_target(out)
+    network, name, cell = select_team(policy, task, agents, trust_code=trust_code)
+    chosen = find_explainer(explainer).explainer if explainer is not None else None
+    recording = record(cell.make(), name, network, seed=seed, episode=episode, max_cycles=max_cycles)
+    written = write_animation(recording, out, chosen, progress=True)
+    last = recording.track.scene()
+    print(
+        f"{out}: {written.frames} of {last.cycle + 1} moments of episode {recording.seed}, "
+        f"{written.n_bytes / 1e6:.2f} MB; {last.ended}, success {recording.success_rate:.2f}, "
+        f"return {last.total:.2f}."
+    )

@@ -1,0 +1,135 @@
+"""`xmarl-bench score`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from xmarl_bench.cli.options import (
+    Address,
+    Agents,
+    Backend,
+    Cells,
+    Episodes,
+    Explainers,
+    Jobs,
+    MaxCycles,
+    Parallel,
+    Policies,
+    Resume,
+    Seed,
+    Tasks,
+    TrustCode,
+)
+from xmarl_bench.score.store import DEFAULT_FOLDER
+
+
+def score(
+    task: Tasks = ["all"],  # noqa: B006
+    agents: Agents = ["all"],  # noqa: B006
+    policy: Policies = ["default"],  # noqa: B006
+    explainer: Explainers = ["all"],  # noqa: B006
+    episodes: Episodes = 50,
+    timesteps: Annotated[
+        int | None,
+        typer.Option(help="At most so many evenly spaced timesteps of each episode; all by default."),
+    ] = None,
+    slow_episodes: Annotated[
+        int | None, typer.Option(help="Episodes for explainers that declare themselves slow.")
+    ] = None,
+    slow_timesteps: Annotated[
+        int | None, typer.Option(help="Timesteps per episode for explainers that declare themselves slow.")
+    ] = None,
+    behaviour_episodes: Annotated[
+        int | None,
+        typer.Option(
+            help="Episodes that the team also plays on the explanation; all by default, none for explainers "
+            "that declare themselves slow."
+        ),
+    ] = None,
+    no_behaviour: Annotated[
+        list[str],
+        typer.Option(help="Explainer on whose masks the team does not play, or 'all'. Repeatable."),
+    ] = [],  # noqa: B006
+    max_cycles: MaxCycles = None,
+    seed: Seed = 0,
+    trust_code: TrustCode = False,
+    jobs: Jobs = None,
+    backend: Backend = "loky",
+    address: Address = None,
+    parallel_episodes: Parallel = 50,
+    cells: Cells = DEFAULT_FOLDER,
+    resume: Resume = True,
+    submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
+    out: Annotated[Path, typer.Option(help="Where entries/ and leaderboard.json go.")] = Path("leaderboard"),
+) -> None:
+    """Score explainers on policies; write one entry per pair and rebuild the leaderboard.
+
+    With --slow-episodes or --slow-timesteps, slow explainers are scored on fewer states only, and all
+    others on both: on all states, and on the same few, so that they can be compared. What is finished is kept
+    in --cells: a run that was stopped goes on where it was. What fails stops nothing else; exit code 1 says
+    that something did.
+    """
+    from dataclasses import replace
+
+    from xmarl_bench.board import build_board
+    from xmarl_bench.cli import tables
+    from xmarl_bench.entry.file import read_entries, write_entry
+    from xmarl_bench.parallel.workers import Workers
+    from xmarl_bench.records.files import locked, remove_leftovers
+    from xmarl_bench.score.request import Sampling
+    from xmarl_bench.score.scoring import Failed, score_requests
+    from xmarl_bench.score.selection import plan, select_explainers, select_policies
+    from xmarl_bench.score.store import Store
+
+    workers = Workers(jobs, backend, address)
+    sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
+    slow = replace(
+        sampling,
+        episodes=episodes if slow_episodes is None else min(episodes, slow_episodes),
+        timesteps=min((t for t in (timesteps, slow_timesteps) if t is not None), default=None),
+    )
+    explainers = select_explainers(explainer)
+    requests = plan(
+        select_policies(policy, task, agents, trust_code=trust_code),
+        explainers,
+        sampling,
+        slow,
+        behaviour_episodes=behaviour_episodes,
+        no_behaviour=no_behaviour,
+    )
+    entries, failed = [], []
+    with locked(out):
+        for folder in (out, out / "entries"):
+            remove_leftovers(folder)
+        read_entries(out / "entries")  # a board that could not be rebuilt afterwards is refused now
+        try:
+            for outcome in score_requests(
+                requests,
+                workers=workers,
+                parallel_episodes=parallel_episodes,
+                progress=True,
+                submitter=submitter,
+                store=Store(cells),
+                fresh=not resume,
+                out=out,
+            ):
+                if isinstance(outcome, Failed):
+                    failed.append(outcome)
+                    continue
+                path = write_entry(out / "entries", outcome)
+                entries.append(outcome)
+                if not sys.stderr.isatty():  # a log, which shows no progress bar
+                    print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
+        finally:
+            if entries:  # an interrupted run keeps what it finished
+                board = build_board(out)
+    if entries:
+        tables.print_scores(entries, [found.explainer for found in explainers])
+        print(
+            f"{len(entries)} entries in {out / 'entries'}, leaderboard in {board} and {out / 'index.html'}."
+        )
+    tables.exit_for_failures(failed, len(requests))

@@ -1,0 +1,124 @@
+"""`xmarl-bench study`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from xmarl_bench.cli.options import (
+    Address,
+    Backend,
+    Cells,
+    Jobs,
+    MaxCycles,
+    Policies,
+    Resume,
+    Seed,
+)
+from xmarl_bench.score.store import DEFAULT_FOLDER
+
+
+class Name(StrEnum):
+    main = "main"
+    training = "training"
+    zero_shot = "zero-shot"
+
+
+def study(
+    name: Annotated[
+        Name,
+        typer.Argument(
+            help="main: three tasks, three team sizes; training: checkpoints; zero-shot: larger teams."
+        ),
+    ],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="4 timesteps of 4 episodes: a look, no result.")
+    ] = False,
+    policy: Policies = ["all"],  # noqa: B006
+    explainer: Annotated[
+        list[str], typer.Option("--explainer", help="One more than the ledgers compare. Repeatable.")
+    ] = [],  # noqa: B006
+    episodes: Annotated[int, typer.Option(help="Episodes per policy.")] = 50,
+    timesteps: Annotated[
+        int | None,
+        typer.Option(help="At most so many evenly spaced timesteps of each episode; all by default."),
+    ] = None,
+    max_cycles: MaxCycles = None,
+    behaviour: Annotated[
+        list[str],
+        typer.Option(
+            help="Explainer on whose masks the team also plays, or 'all'. It is asked at every step, which "
+            "takes most explainers longer than all the rest. Repeatable; none by default."
+        ),
+    ] = [],  # noqa: B006
+    figures: Annotated[bool, typer.Option(help="Draw (needs the extra 'plots').")] = True,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    backend: Backend = "loky",
+    address: Address = None,
+    cells: Cells = DEFAULT_FOLDER,
+    resume: Resume = True,
+    submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where everything goes; study/NAME by default, study/NAME-quick.")
+    ] = None,
+) -> None:
+    """Reproduce a study of the paper and judge its statements; what is scored already is not scored again.
+
+    What is finished is kept in --cells. What fails stops nothing else, and is missing from the study; exit
+    code 1 says that something did.
+    """
+    from xmarl_bench.cli import tables
+    from xmarl_bench.papers.kailas2025.figures import check_matplotlib
+    from xmarl_bench.papers.kailas2025.output import write_study
+    from xmarl_bench.papers.kailas2025.plan import QUICK, STUDIES, plan, select_study_explainers
+    from xmarl_bench.papers.kailas2025.results import StudyData
+    from xmarl_bench.papers.kailas2025.samples import Samples
+    from xmarl_bench.parallel.workers import Workers
+    from xmarl_bench.records.files import locked, remove_leftovers
+    from xmarl_bench.score.request import Sampling
+    from xmarl_bench.score.scoring import Failed, score_requests
+    from xmarl_bench.score.store import Store
+
+    workers = Workers(jobs, backend, address)
+    chosen = STUDIES[name.value]
+    folder = out or Path("study") / (f"{name.value}-quick" if quick else name.value)
+    if figures:
+        check_matplotlib()
+    if quick:
+        episodes, timesteps = QUICK.episodes, QUICK.timesteps
+    sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
+    explainers = select_study_explainers(explainer)
+    requests = plan(chosen, policy, explainers, sampling, behaviour)
+    Samples.check(request.card for request in requests)
+    with locked(folder):
+        remove_leftovers(folder)
+        scored = score_requests(
+            requests,
+            workers=workers,
+            progress=True,
+            submitter=submitter,
+            store=Store(cells),
+            fresh=not resume,
+            out=folder,
+        )
+        outcomes = list(tables.told(scored, len(requests)))
+        pairs = [
+            (request.card, outcome)
+            for request, outcome in zip(requests, outcomes, strict=True)
+            if not isinstance(outcome, Failed)
+        ]
+        data = StudyData(
+            chosen, tuple(found.explainer.name for found in explainers), pairs, Samples.of(pairs)
+        )
+        results = write_study(folder, data, figures=figures)
+    verdicts = [claim["verdict"] for claim in results["ledger"]]
+    counted = ", ".join(f"{verdicts.count(each)} {each}" for each in sorted(set(verdicts)))
+    for absent in results["missing"]:
+        print(f"missing: {absent}")
+    print(f"{len(verdicts)} statements of the paper: {counted}.")
+    print(f"{len(pairs)} entries in {cells}; results.json, tables/, figures/ and tables.html in {folder}.")
+    tables.exit_for_failures([each for each in outcomes if isinstance(each, Failed)], len(requests))

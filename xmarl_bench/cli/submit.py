@@ -1,0 +1,61 @@
+"""`xmarl-bench submit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def submit(
+    entries: Annotated[list[Path], typer.Argument(help="Entry files, as `xmarl-bench score` wrote them.")],
+    submitter: Annotated[str, typer.Option(help="Who hands them in: a name, as the board shows it.")],
+    licence: Annotated[Path, typer.Option(help="File with the terms under which others may use this.")],
+    out: Annotated[Path, typer.Option(help="Bundle to write: NAME.zip, or a folder.")],
+    policy: Annotated[
+        list[Path],
+        typer.Option(help="Bundle of a policy that no package registers. Repeatable."),
+    ] = [],  # noqa: B006
+    code: Annotated[str | None, typer.Option(help="Where the explainer's code is: a link.")] = None,
+    contact: Annotated[str | None, typer.Option(help="Where the maintainers can ask.")] = None,
+) -> None:
+    """Pack entries, their policies and rows into a bundle, and check it as the maintainers will.
+
+    Exit code 1 where it would be refused; then nothing is written.
+    """
+    import tempfile
+
+    from xmarl_bench.entry.file import read_entry
+    from xmarl_bench.errors import InputError
+    from xmarl_bench.policy.bundle import load_card
+    from xmarl_bench.submission.checking import check
+    from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle
+
+    if out.exists():
+        raise InputError(f"{out} exists: give another name, or remove it first.")
+    given = {load_card(folder).name: folder for folder in policy}
+    submitted = [as_submitted(read_entry(path), submitter, code) for path in entries]
+    names = dict.fromkeys(entry.policy.name for entry in submitted)
+    for name in given.keys() - names.keys():
+        raise InputError(f"none of the entries is of policy {name!r}: leave it out, or give its entries.")
+    registered = [name for name in names if name not in given]
+    if registered:
+        from xmarl_bench.plugins.registry import find_policy  # here, for it waits for torch
+
+        given |= {name: find_policy(name) for name in registered}
+    try:
+        terms = licence.read_bytes()
+    except OSError as error:
+        raise InputError(f"{licence} cannot be read ({error.strerror}): give a file of text.") from None
+    files = bundle_files(submitted, given, submitter=submitter, licence=terms, contact=contact)
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder) / out.name
+        write_bundle(draft, files)
+        findings = check(draft).findings
+    if findings:
+        for finding in findings:
+            print(f"{out}: {finding}")
+        raise SystemExit(1)
+    write_bundle(out, files)
+    print(f"{out}: valid, {len(submitted)} entries. How to hand it in: leaderboard/README.md.")

@@ -1,0 +1,297 @@
+"""Tables for people, on a terminal or in a README; the same rows are what `--json` prints."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.table import Table
+from xmarl_envs import TASKS
+
+from xmarl_bench.board import ORDER, board_of
+from xmarl_bench.entry.schema import Entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.plugins.registry import explainer_names, find_explainer, registered_policies
+from xmarl_bench.policy import PolicyCard
+from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.rollout.evaluation import Performance
+from xmarl_bench.score.run_record import Progress, RunRecord
+from xmarl_bench.score.scoring import Failed
+
+Row = dict[str, Any]
+Outcome = TypeVar("Outcome")
+# Heading -> metric; "" is the interval of the metric that rows are ordered by.
+_POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_seed", "success", "code")
+SCORE_COLUMNS = {
+    "comm. budgeted": "comm_budgeted_fidelity",
+    "95 %": "",
+    "budgeted": "budgeted_fidelity",
+    "Fid+": "fid_plus",
+    "Fid-": "fid_minus",
+    "FidDelta": "fid_delta",
+    "GEF": "gef",
+    "mass": "mask_mass",
+    "success on it": "success_on_explanation",
+    "on the rest": "success_on_complement",
+}
+
+
+def tasks() -> list[Row]:
+    return [
+        {
+            "name": name,
+            "max_agents": task.max_agents,
+            "obs_dim": len(task.observation_names),
+            "max_cycles": task.default_max_cycles,
+        }
+        for name, task in TASKS.items()
+    ]
+
+
+def policies() -> tuple[list[Row], list[InputError]]:
+    """Those of the plugins that load, and why the others do not.
+
+    `success` is the success rate its card records, None where it records none. `code` is the entry point of
+    a policy that brings its own. It is not run to be listed: the rest is None.
+    """
+    found, failures = registered_policies()
+    rows: list[Row] = []
+    for name, place in found.items():
+        if not isinstance(place, Path):
+            rows.append({**dict.fromkeys(_POLICY_COLUMNS), "name": name, "code": str(place)})
+            continue
+        try:
+            card = load_card(place)
+        except InputError as error:
+            failures.append(error)
+            continue
+        measured = card.performance.get("with_messages", {})
+        rows.append(
+            {
+                "name": name,
+                "task": card.task,
+                "n_agents": card.n_agents,
+                "attention_entropy": card.attention_entropy,
+                "training_seed": card.training_seed,
+                "success": measured.get("success_rate") if isinstance(measured, dict) else None,
+                "code": None,
+            }
+        )
+    return rows, failures
+
+
+def explainers() -> tuple[list[Row], list[InputError]]:
+    """Those that load, and why the others do not."""
+    rows: list[Row] = []
+    failures = []
+    for name in explainer_names():
+        try:
+            found = find_explainer(name)
+        except InputError as error:
+            failures.append(error)
+            continue
+        each = found.explainer
+        rows.append(
+            {
+                "name": each.name,
+                "kind": "control" if each.control else "explainer",
+                "stochastic": each.stochastic,
+                "slow": each.slow,
+                "distribution": found.distribution,
+                "version": found.version,
+                "summary": each.summary,
+            }
+        )
+    return rows, failures
+
+
+def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Performance]) -> list[Row]:
+    """One row per policy and cell; "a / b" is with messages between agents / without."""
+    rows = []
+    for card, each in zip(cards, performances, strict=True):
+
+        def both(metric: str, digits: int, each: Performance = each) -> str:
+            values = (each.with_messages[metric], each.without_messages[metric])
+            return " / ".join("-" if value is None else f"{value:.{digits}f}" for value in values)
+
+        rows.append(
+            {
+                "policy": card.name,
+                "task": each.task,
+                "agents": each.n_agents,
+                "lambda": card.attention_entropy,
+                "success": both("success_rate", 2),
+                "no agent collision": both("no_agent_collision", 2),
+                "no wall contact": both("no_object_collision", 2),
+                "makespan": both("makespan", 0),
+                "reward": both("reward", 2),
+                "attention entropy": "-"
+                if each.attention_entropy is None
+                else f"{each.attention_entropy:.2f}",
+            }
+        )
+    return rows
+
+
+def print_rows(rows: Sequence[Row]) -> None:
+    if not rows:
+        print("none")
+        return
+    table = Table(*(key.replace("_", " ") for key in rows[0]))
+    for row in rows:
+        table.add_row(*(_cell(value) for value in row.values()))
+    console().print(table)
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    if not rows:
+        return ""
+    lines = [
+        list(rows[0]),
+        ["---"] * len(rows[0]),
+        *([_cell(value) for value in row.values()] for row in rows),
+    ]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
+    """A table per protocol and cell, as on the board, and a word on what was given fewer states."""
+    terminal = console()
+    board = board_of([(entry.file_name, entry) for entry in entries])
+    for table in board["tables"]:
+        protocol = board["protocols"][table["protocol"]]
+        steps = (
+            "every timestep"
+            if protocol["timesteps"] is None
+            else f"{protocol['timesteps']} timesteps of each"
+        )
+        shown = Table(
+            "policy and explainer",
+            title=f"{table['task']}, {table['n_agents']} agents: {protocol['episodes']} episodes, {steps}",
+            title_justify="left",
+        )  # fmt: skip
+        for heading in SCORE_COLUMNS:
+            shown.add_column(heading, justify="right")
+        for group in table["policies"]:
+            gate = "" if group["gate"] is None else f", not ranked: {group['gate']}"
+            shown.add_row(f"[bold]{group['name']}[/bold]{gate}")
+            for row in group["rows"]:
+                metrics = row["metrics"]
+                order = metrics[ORDER["by"]]
+                low_high = None if order is None else order["interval"]
+                numbers = [_number(metrics[name]) for name in SCORE_COLUMNS.values() if name]
+                shown.add_row(
+                    "  " + row["explainer"] + (" (control)" if row["control"] else ""),
+                    numbers[0],
+                    "-" if low_high is None else f"{low_high[0]:.2f} {low_high[1]:.2f}",
+                    *numbers[1:],
+                )
+            shown.add_section()
+        terminal.print(shown)
+    for entry in entries:
+        cost, timesteps = entry.cost, entry.cost.explained_timesteps
+        print(
+            f"{entry.policy.name}, {entry.explainer.name}: {timesteps} timesteps explained in "
+            f"{cost.explain_seconds_per_timestep * timesteps:.1f} s, acted on in "
+            f"{cost.behaviour_seconds:.1f} s; oracle and controls, once per policy, "
+            f"{cost.shared_seconds_per_timestep * timesteps:.1f} s."
+        )
+    slow = [explainer.name for explainer in used if explainer.slow]
+    limited = [entry.protocol for entry in entries if entry.explainer.name in slow]
+    if limited and any(entry.protocol != limited[0] for entry in entries):
+        few = limited[0]
+        steps = "" if few.timesteps is None else f", at most {few.timesteps} timesteps of each"
+        print(
+            f"Slow explainers ({', '.join(slow)}) were given fewer states: {few.episodes} episodes{steps}. "
+            f"The others were scored on these as well, to be compared with them, and on all states."
+        )
+
+
+def _number(summary: dict[str, Any] | None) -> str:
+    if summary is None:
+        return "-"
+    text = "NaN" if summary["value"] is None else f"{summary['value']:.3f}"
+    return text + (f" ({summary['n_nan']} NaN)" if summary["n_nan"] and summary["value"] is not None else "")
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def console() -> Console:
+    """Wide where there is no terminal, so that logs do not break lines."""
+    terminal = Console()
+    return terminal if terminal.is_terminal else Console(width=160)
+
+
+def print_json(value: Any) -> None:
+    print(json.dumps(value, indent=2, allow_nan=False))
+
+
+def told(outcomes: Iterator[Outcome], asked: int, every: float = 20.0) -> Iterator[Outcome]:
+    """The same, and in a log, which shows no progress bar, a line on stderr about every so many seconds."""
+    started = said = time.monotonic()
+    for done, outcome in enumerate(outcomes, start=1):
+        now = time.monotonic()
+        if now - said > every and not sys.stderr.isatty():
+            said, gone = now, (now - started) / 60
+            print(f"{done} of {asked} scored, {gone:.1f} min gone.", file=sys.stderr, flush=True)
+        yield outcome
+
+
+def exit_for_failures(failed: Sequence[Failed], asked: int) -> None:
+    """Say on stderr what failed and leave with exit code 1; nothing where nothing did.
+
+    Raises InputError where everything did, for the first reason.
+    """
+    if not failed:
+        return
+    if len(failed) == asked:
+        raise InputError(failed[0].error)
+    for each in failed:
+        print(f"failed: {each}", file=sys.stderr)
+    print(
+        f"{len(failed)} of {asked} failed; everything else is done. The same command tries them again.",
+        file=sys.stderr,
+    )
+    raise SystemExit(1)
+
+
+def run_rows(records: Sequence[tuple[RunRecord, Progress]]) -> list[Row]:
+    """How far runs are, as `xmarl-bench status` shows them."""
+    states = {True: "running", False: "stopped", None: "on another machine"}
+    return [
+        {
+            "folder": record.out,
+            "command": record.command,
+            "started": record.started,
+            "state": "finished" if progress.done == progress.pieces else states[progress.running],
+            "cells": [progress.done, progress.pieces],
+            "entries": [progress.entries, len(record.asked)],
+            "explainers": {name: list(counts) for name, counts in progress.explainers.items()},
+            "failures": sorted(set(progress.failures.values())),
+        }
+        for record, progress in records
+    ]
+
+
+def print_runs(rows: Sequence[Row]) -> None:
+    for row in rows:
+        (done, cells), (complete, entries) = row["cells"], row["entries"]
+        print(f"{row['folder']}: {row['state']}, {done} of {cells} cells, {complete} of {entries} entries.")
+        print(f"  {row['command']} ({row['started']})")
+        for name, (done, cells) in row["explainers"].items():
+            if done < cells:
+                print(f"  {name}: {done} of {cells}")
+        for failure in row["failures"]:
+            print(f"  failed: {failure.splitlines()[0]}")

@@ -1,0 +1,108 @@
+"""`xmarl-bench verify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from xmarl_bench.cli.options import Address, AsJson, Backend, Jobs
+from xmarl_bench.cli.validate import Paths
+
+
+def verify(
+    paths: Paths,
+    tier: Annotated[
+        str,
+        typer.Option(
+            help="recompute: aggregates from rows, nothing runs; spot: some episodes again; full: everything."
+        ),
+    ] = "recompute",
+    episodes: Annotated[int, typer.Option(help="Episodes of each cell that spot plays again.")] = 10,
+    seed: Annotated[
+        int | None, typer.Option(help="Draws these episodes; by default others each time.")
+    ] = None,
+    explainer: Annotated[
+        str | None,
+        typer.Option(help="Run this one: module:Name or path/to/file.py:Name, where none is installed."),
+    ] = None,
+    trust_code: Annotated[
+        bool,
+        typer.Option(
+            "--trust-code", help="Run the code of explainers that are not ours, in a process with limits."
+        ),
+    ] = False,
+    cpu_seconds: Annotated[int, typer.Option(help="CPU time of such a process.")] = 3600,
+    memory: Annotated[float, typer.Option(help="Address space of such a process, in GiB.")] = 8.0,
+    by: Annotated[
+        str | None, typer.Option(help="Sign off what passes: your name goes into its verification block.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the signed entries; where they are by default, but for bundles."),
+    ] = None,
+    jobs: Jobs = None,
+    backend: Backend = "loky",
+    address: Address = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find out whether entries are right: validate them, then derive or run their numbers again.
+
+    Numbers must be the same to the bit on the platform and versions that the entry names, and within the
+    published tolerance elsewhere. Exit code 0: all passed; 1: something did not; 2: it could not be run.
+    Several entries are verified side by side with --jobs.
+    """
+    import sys
+    from functools import partial
+
+    from xmarl_bench.cli import tables
+    from xmarl_bench.entry.file import write_entry
+    from xmarl_bench.errors import InputError
+    from xmarl_bench.parallel.fan_out import Failure, fan_out
+    from xmarl_bench.parallel.workers import Workers
+    from xmarl_bench.submission.checking import check
+    from xmarl_bench.submission.limits import Limits
+    from xmarl_bench.submission.verification import Options, Tier, lines, verify_one
+
+    if tier not in list(Tier):
+        raise InputError(f"unknown tier {tier!r}: choose one of {', '.join(Tier)}.")
+    limits = Limits(cpu_seconds=cpu_seconds, memory_bytes=int(memory * 2**30))
+    options = Options(Tier(tier), episodes, seed, explainer, trust_code, limits)
+    workers = Workers(jobs, backend, address)
+    code, units = 0, []
+    for path in paths:
+        try:
+            checked = check(path)
+            if by is not None and out is None and checked.is_bundle:
+                raise InputError(f"{path} is a bundle: give --out, a folder for its signed entries.")
+        except InputError as error:
+            print(f"xmarl-bench: {error}", file=sys.stderr)
+            code = 2
+            continue
+        for finding in checked.findings:
+            print(f"{path}: {finding}", file=sys.stderr if as_json else sys.stdout)
+        if checked.findings:
+            code = max(code, 1)
+        else:
+            units += [(path, file, checked.part(file)) for file in checked.entries]
+    work = [(part, file) for _, file, part in units]
+    told = dict(fan_out(partial(verify_one, options=options), work, workers=workers, progress="verify"))
+    verdicts = []
+    for k, (path, file, _) in enumerate(units):
+        verdict = told[k]
+        if isinstance(verdict, Failure):
+            print(f"xmarl-bench: {verdict.error}", file=sys.stderr)
+            code = 2
+            continue
+        verdicts.append(verdict.record(str(path), file))
+        if not as_json:
+            print("\n".join(lines(path, file, verdict)))
+        if verdict.findings:
+            code = max(code, 1)
+        elif by is not None:
+            signed = verdict.entry.model_copy(update={"verification": verdict.block(by)})
+            write_entry(out or (path if path.is_dir() else path.parent), signed)
+    if as_json:
+        tables.print_json(verdicts)
+    raise SystemExit(code)

@@ -1,0 +1,1 @@
+"""Explainers compared on the same policies and states."""

@@ -1,0 +1,128 @@
+"""Which entries can be compared: those of the same policies, cells, protocol and seed, by episode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+from xmarl_bench.entry.file import read_entries, read_entry
+from xmarl_bench.entry.schema import CellResult, Entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.records.files import canonical_json
+
+Blocks = dict[str, dict[str, CellResult]]  # explainer -> states, the same for all -> its cell
+
+
+def read_named(names: Sequence[str], folder: Path) -> list[Entry]:
+    """The entries that `names` mean: a file each, a folder of entries, or an explainer's name in `folder`.
+
+    Files are taken as they are, names and folders on the states that all explainers share. Raises InputError
+    for a name that means no entry.
+    """
+
+    @cache
+    def in_folder() -> list[Entry]:
+        return [entry for _, entry in read_entries(folder)]
+
+    found: list[Entry] = []
+    files = all(Path(name).is_file() for name in names)
+    for name in names:
+        path = Path(name)
+        if path.is_dir():
+            entries = [entry for _, entry in read_entries(path)]
+        elif path.is_file() or path.suffix == ".json":
+            entries = [read_entry(path)]
+        else:
+            entries = [entry for entry in in_folder() if entry.explainer.name == name]
+            if not entries:
+                known = sorted({entry.explainer.name for entry in in_folder()})
+                raise InputError(
+                    f"{name!r} is neither a file nor an explainer with entries in {folder}: give one of "
+                    f"{', '.join(known) or 'none there'}, or the path of an entry."
+                )
+        if not entries:
+            raise InputError(f"{name} holds no entries: give a folder with entry files in it.")
+        found += [entry for entry in entries if entry not in found]
+    return found if files else shared_states(found)
+
+
+def shared_states(entries: Sequence[Entry]) -> list[Entry]:
+    """Of explainers asked for by name, the entries on states that all of them have.
+
+    On a policy and cell with several such protocols, as where slow explainers are scored on fewer states, the
+    one with most timesteps.
+    """
+    explainers = {entry.explainer.name for entry in entries}
+    by_states: dict[tuple[bytes, ...], list[Entry]] = {}
+    for entry in entries:
+        by_states.setdefault(tuple(_states(entry, cell) for cell in entry.results), []).append(entry)
+    largest: dict[tuple[str, tuple[tuple[str, int], ...]], list[Entry]] = {}
+    for same in by_states.values():
+        if {entry.explainer.name for entry in same} != explainers:
+            continue
+        where = same[0].policy.name, tuple((cell.task, cell.n_agents) for cell in same[0].results)
+        known = largest.get(where)
+        if known is None or same[0].cost.explained_timesteps > known[0].cost.explained_timesteps:
+            largest[where] = same
+    if not largest:
+        raise InputError(
+            f"no states were explained by all of {', '.join(sorted(explainers))}: score them on the same "
+            f"policies, episodes and timesteps."
+        )
+    return [entry for same in largest.values() for entry in same]
+
+
+def blocks_of(entries: Sequence[Entry]) -> Blocks:
+    """The cells of each explainer, by states. Raises InputError where explainers were given other states.
+
+    Entries are paired by their episodes, so every explainer needs an entry on the same policy, cell, protocol
+    and seed as every other.
+    """
+    blocks: Blocks = {}
+    keys: dict[str, bytes] = {}
+    for entry in entries:
+        for cell in entry.results:
+            name = f"{entry.policy.name}, {cell.task}, {cell.n_agents} agents"
+            key = _states(entry, cell)
+            if keys.setdefault(name, key) != key:
+                raise InputError(
+                    f"entries on {name} were scored on different states or by different protocols, "
+                    f"{entry.explainer.name!r} among them: compare entries of one protocol and the same "
+                    f"episodes."
+                )
+            cells = blocks.setdefault(entry.explainer.name, {})
+            if name in cells:
+                raise InputError(f"two entries are of {named(entry.explainer.name, name)}: give one of them.")
+            cells[name] = cell
+    if len(blocks) < 2:
+        raise InputError(
+            f"a comparison needs two explainers, got {', '.join(blocks) or 'none'}: give entries of another."
+        )
+    everywhere = sorted(keys)
+    for explainer, cells in blocks.items():
+        missing = [name for name in everywhere if name not in cells]
+        if missing:
+            raise InputError(
+                f"explainer {explainer!r} has no entry on {missing[0]}, others have: score it there, or "
+                f"leave these entries out."
+            )
+    return {explainer: {name: cells[name] for name in everywhere} for explainer, cells in blocks.items()}
+
+
+def named(explainer: str, states: str) -> str:
+    return f"{explainer!r} on {states}"
+
+
+def _states(entry: Entry, cell: CellResult) -> bytes:
+    """What two entries must share for their episodes to be pairs."""
+    return canonical_json(
+        [
+            entry.policy.weights_sha256,
+            entry.protocol.model_dump(mode="json"),
+            cell.task,
+            cell.n_agents,
+            cell.max_cycles,
+            [row.seed for row in cell.episodes],
+        ]
+    )

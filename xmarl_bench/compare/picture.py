@@ -1,0 +1,77 @@
+"""A comparison as a picture: the means with their intervals, and all differences with theirs."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from xmarl_bench.compare.comparison import Comparison
+from xmarl_bench.errors import InputError
+from xmarl_bench.metrics.statistics import Difference
+from xmarl_bench.records.files import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FORMATS = (".png", ".svg", ".pdf")
+# Tie groups one after the other; colours that colour-blind people tell apart (Okabe and Ito).
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+GREY = "#777777"
+SURE = 0.05
+
+
+def check_picture(path: Path) -> None:
+    """Raises InputError, before any work, for a format that is none and where matplotlib is missing."""
+    if path.suffix not in FORMATS:
+        raise InputError(f"{path} is no picture: end its name in one of {', '.join(FORMATS)}.")
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "pictures need matplotlib, which is not installed: pip install 'xmarl-bench[plots]', or leave "
+            "--plot out."
+        ) from None
+
+
+def draw(comparisons: Sequence[Comparison], path: Path) -> None:
+    """One row per metric: means left, differences of all pairs right. The same comparison, the same bytes."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    heights = [0.6 + 0.26 * max(len(each.standings), len(each.pairs)) for each in comparisons]
+    with matplotlib.rc_context({"font.size": 9, "svg.hashsalt": "compare", "pdf.fonttype": 42}):
+        figure = Figure(figsize=(10, sum(heights) + 0.6), layout="constrained")
+        panels = figure.subplots(len(comparisons), 2, squeeze=False, height_ratios=heights)
+        for (left, right), each in zip(panels, comparisons, strict=True):
+            names = [standing.explainer for standing in each.standings]
+            for k, standing in enumerate(each.standings):
+                _interval(left, k, standing.mean, COLOURS[(standing.tie_group - 1) % len(COLOURS)])
+            left.set_yticks(range(len(names)), names)
+            left.set_title(f"{each.metric}, {each.better} is better; one colour: tied", fontsize=9)
+            for k, pair in enumerate(each.pairs):
+                sure = pair.p_holm is not None and pair.p_holm < SURE
+                _interval(right, k, pair.difference, GREY if pair.difference.holds_zero else "black", sure)
+            right.axvline(0.0, color=GREY, linewidth=0.8)
+            right.set_yticks(range(len(each.pairs)), [f"{pair.first} - {pair.second}" for pair in each.pairs])
+            right.set_title(f"difference; filled: Mann-Whitney U, Holm p < {SURE}", fontsize=9)
+            for panel, n_rows in ((left, len(names)), (right, len(each.pairs))):
+                panel.set_ylim(n_rows - 0.5, -0.5)  # the first on top
+                panel.spines[["top", "right"]].set_visible(False)
+        n = len(comparisons[0].states)
+        figure.supxlabel(
+            f"95 % bootstrap intervals over episodes of {n} " + ("policies" if n > 1 else "policy"),
+            fontsize=9,
+        )
+        data = io.BytesIO()
+        metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
+        figure.savefig(data, format=path.suffix[1:], dpi=150, metadata=metadata)
+    write_atomically(path, data.getvalue())
+
+
+def _interval(panel: Axes, y: int, difference: Difference, colour: str, filled: bool = True) -> None:
+    value = difference.value if difference.value is not None else float("nan")
+    if difference.interval is not None:
+        panel.hlines(y, *difference.interval, color=colour, linewidth=2)
+    panel.plot(value, y, "o", color=colour, markerfacecolor=colour if filled else "white", markersize=6)

@@ -1,0 +1,82 @@
+"""From episodes to the numbers of a cell: the episode is the unit, for timesteps are autocorrelated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from xmarl_bench.entry.protocol import SANITY_EPISODES
+from xmarl_bench.entry.schema import (
+    BehaviourMetrics,
+    CellResult,
+    ControlMetrics,
+    EpisodeRow,
+    Metrics,
+    Summary,
+)
+from xmarl_bench.metrics.statistics import percentiles, resampled_means
+from xmarl_bench.reproducible import derived_seed
+
+BEHAVIOUR = tuple(BehaviourMetrics.model_fields)
+SANITY = ("seed_stability", "weight_randomisation")
+
+
+def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summary:
+    """One value per episode, None where it is not a number, to mean and percentile bootstrap interval.
+
+    What is not a number is left out of the mean and counted in `n_nan`, never turned into 0. The interval
+    is None for fewer than two episodes; constant values give an interval of width 0.
+    """
+    x = np.array([value for value in values if value is not None], dtype=np.float64)
+    n_nan = len(values) - x.size
+    if x.size == 0:
+        return Summary(value=None, interval=None, n=0, n_nan=n_nan)
+    interval = None
+    if x.size > 1:
+        interval = percentiles(resampled_means([x], rng))
+    return Summary(value=float(x.mean()), interval=interval, n=int(x.size), n_nan=n_nan)
+
+
+def metrics_of_cell(cell: CellResult, seed: int) -> Metrics:
+    """A cell's metrics, derived again from its rows."""
+    return cell_metrics(cell.episodes, seed, cell.not_measured, cell.behaviour_episodes)
+
+
+def cell_metrics(
+    rows: Sequence[EpisodeRow], seed: int, not_measured: Mapping[str, str], behaviour_episodes: int
+) -> Metrics:
+    """Aggregate rows; the resampling of a metric's interval depends on its name and the run's seed alone."""
+    values = {name: [getattr(row, name) for row in rows] for name in Metrics.model_fields}
+    return Metrics.model_validate(_summaries(values, seed, not_measured, behaviour_episodes))
+
+
+def control_metrics(
+    rows: Sequence[Mapping[str, float | None]],
+    seed: int,
+    not_measured: Mapping[str, str],
+    behaviour_episodes: int,
+) -> ControlMetrics:
+    """Aggregate a control's episodes; a metric that a row lacks is not measured."""
+    absent = {name: "" for name in ControlMetrics.model_fields if name not in rows[0]}
+    values = {name: [row.get(name) for row in rows] for name in ControlMetrics.model_fields}
+    return ControlMetrics.model_validate(
+        _summaries(values, seed, {**not_measured, **absent}, behaviour_episodes)
+    )
+
+
+def _summaries(
+    values: Mapping[str, list[float | None]],
+    seed: int,
+    not_measured: Mapping[str, str],
+    behaviour_episodes: int,
+) -> dict[str, Summary | None]:
+    first = {**dict.fromkeys(SANITY, SANITY_EPISODES), **dict.fromkeys(BEHAVIOUR, behaviour_episodes)}
+    return {
+        name: None
+        if name in not_measured
+        else summarise(
+            series[: first.get(name)], np.random.default_rng(derived_seed("bootstrap", seed, name))
+        )
+        for name, series in values.items()
+    }

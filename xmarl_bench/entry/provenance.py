@@ -1,0 +1,82 @@
+"""Where, when and with what an entry was made. Nothing here enters the entry's id."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import subprocess
+import sys
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from xmarl_bench.entry.schema import Provenance
+
+PACKAGES = ("joblib", "numpy", "pettingzoo", "pydantic", "pymunk", "safetensors", "torch", "torch-geometric")
+
+
+def now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def provenance(started: str, jobs: int) -> Provenance:
+    import torch
+
+    commit, dirty = _commit()
+    return Provenance(
+        harness_version=package_version("xmarl-bench") or "unknown",
+        commit=commit,
+        dirty=dirty,
+        packages={name: package_version(name) or "missing" for name in PACKAGES},
+        python=platform.python_version(),
+        os=platform.platform(),
+        machine=platform.machine(),
+        cpu=_cpu(),
+        cpu_capability=torch.backends.cpu.get_cpu_capability(),
+        threads=1,
+        jobs=jobs,
+        command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        started=started,
+        finished=now(),
+    )
+
+
+def package_version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+@cache
+def _cpu() -> str:
+    """The processor's model name where Linux tells it, else its architecture."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+@cache
+def _commit() -> tuple[str | None, bool | None]:
+    """Commit of this source tree and whether it has changes; (None, None) for an installed package."""
+    here = Path(__file__).resolve()
+    # An installed copy may lie inside somebody's repository without being part of it.
+    if _git(here.parent, "ls-files", "--error-unmatch", here.name) is None:
+        return None, None
+    changes = _git(here.parent, "status", "--porcelain", "--untracked-files=no", "--", ":/")
+    return _git(here.parent, "rev-parse", "HEAD"), None if changes is None else bool(changes)
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=20
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None

@@ -1,0 +1,296 @@
+"""The entry: one (policy, explainer) pair scored over a list of cells, one strict JSON file.
+
+Unknown keys, keys given twice, NaN, infinity and what is out of a metric's range are refused. `entry_id` is
+the sha256 of the canonical JSON without `verification`, which others add later, and without `provenance` and
+`cost`, which say where and how fast the entry was made: the same score made twice has the same id. A file is
+canonical JSON too, with line breaks: an episode, a control or a metric has a line of its own.
+`leaderboard/entry.schema.json` is this file as JSON Schema.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
+
+from xmarl_bench.entry.protocol import PROTOCOL
+from xmarl_bench.policy.architecture import AnyArchitecture
+from xmarl_bench.records.field_types import (
+    Agents,
+    Budgeted,
+    Change,
+    Correlation,
+    Count,
+    Delta,
+    Name,
+    NotNegative,
+    Seconds,
+    Sha256,
+    Share,
+    Text,
+)  # fmt: skip
+from xmarl_bench.records.files import canonical_json
+from xmarl_bench.records.json_lines import members, object_of
+
+SCHEMA_VERSION: Final = 3
+NOT_HASHED = ("entry_id", "verification", "provenance", "cost")
+
+
+class Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class PolicyRecord(Record):
+    name: Name
+    task: Name
+    n_agents: Agents  # the team size it was trained for
+    weights_sha256: Sha256
+    architecture: AnyArchitecture
+    attention_entropy: float
+    training_seed: int | None
+    code: Text | None = None  # where its training code is
+    trusted_code: bool = False  # code of the policy's own ran, beside the closed list
+
+
+class ExplainerRecord(Record):
+    """What was asked, and what it declares of itself."""
+
+    name: Name
+    distribution: Text | None  # None: an object passed in Python or a file, not an installed plugin
+    version: Text | None
+    entry_point: Text
+    hyperparameters: Annotated[dict[Text, bool | int | float | Text | None], Field(max_length=100)]
+    stochastic: bool
+    control: bool
+    seed: Annotated[int, Field(ge=0, lt=10**9)]
+    batched: bool = True  # False: called for one timestep at a time
+    binary: bool = False  # masks of zeros and ones
+    signed: Text | None = None  # attributions have a sign: the normaliser that made masks of them
+    needs_fit: bool = False  # fitted on other states before it explains
+    accesses: Literal["black-box", "gradients", "attention"] | None = None  # of the policy; None: not said
+    code: Text | None = None  # where its code is
+    code_sha256: Sha256 | None = None  # of the file that it was loaded from
+
+
+class Protocol(Record):
+    """What was measured and on which states. Entries share a table only where this is identical."""
+
+    id: Literal["xmarl-2"] = PROTOCOL
+    episodes: Annotated[int, Field(ge=1, le=10**6)]
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**53)], ...]
+    timesteps: Annotated[int, Field(ge=1)] | None  # at most so many of each episode; None is all
+    definitions: Annotated[dict[Text, Text], Field(max_length=100)]
+
+
+class Summary(Record):
+    value: float | None
+    interval: tuple[float, float] | None
+    n: Count
+    n_nan: Count
+
+
+class ExplanationRow(Record):
+    """What a mask scores on one episode. A metric is null where it is not a number."""
+
+    fid_plus: Change | None
+    fid_minus: Change | None
+    fid_delta: Delta | None
+    gef: Share | None
+    median_kl: NotNegative | None
+    mask_mass: Share | None
+    topk_fid_delta: Delta | None
+    budgeted_fidelity: Budgeted | None
+    comm_fid_plus: Change | None
+    comm_fid_minus: Change | None
+    comm_fid_delta: Delta | None
+    comm_gef: Share | None
+    comm_topk_fid_delta: Delta | None
+    comm_budgeted_fidelity: Budgeted | None
+    renorm_topk_fid_delta: Delta | None
+    renorm_budgeted_fidelity: Budgeted | None
+
+
+class BehaviourRow(Record):
+    """How the team did on the explanation and on the rest; null in episodes that were not played so."""
+
+    success_on_explanation: Share | None
+    success_on_complement: Share | None
+    reward_on_explanation: float | None
+    reward_on_complement: float | None
+    no_agent_collision_on_explanation: Share | None
+    no_agent_collision_on_complement: Share | None
+    behavioural_fidelity: Correlation | None
+
+
+class BudgetRow(Record):
+    """FidDelta@k over one episode, k = 1 .. M - 1 of M senders; what `budgeted_fidelity` is made of."""
+
+    explained: tuple[float | None, ...]  # of the k highest edges of the mask's rows
+    random: tuple[float | None, ...] | None  # of a random ranking, in expectation; null without an oracle
+    oracle: tuple[float | None, ...] | None  # of the best k edges
+
+
+class EpisodeRow(ExplanationRow, BehaviourRow):
+    """One episode. A metric is null where it is not a number, or where it was not measured."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**53)]
+    length: Annotated[int, Field(ge=1, le=10**6)]  # steps of the episode
+    timesteps: Annotated[int, Field(ge=1, le=10**6)]  # of which so many were explained
+    budget: BudgetRow | None = None
+    comm_budget: BudgetRow | None = None  # own edges always kept: M = N - 1
+    seed_stability: Correlation | None
+    weight_randomisation: Correlation | None
+    communication_dependence: Change | None
+    attention_entropy: NotNegative | None
+    attention_distance: NotNegative | None
+    reward: float | None
+    success_rate: Share | None
+    no_agent_collision: Share | None
+    no_object_collision: Share | None
+    makespan: NotNegative | None
+
+
+class ExplanationMetrics(Record):
+    """The means of `ExplanationRow`; null where a metric was not measured."""
+
+    fid_plus: Summary
+    fid_minus: Summary
+    fid_delta: Summary
+    gef: Summary | None
+    median_kl: Summary | None
+    mask_mass: Summary
+    topk_fid_delta: Summary | None
+    budgeted_fidelity: Summary | None
+    comm_fid_plus: Summary
+    comm_fid_minus: Summary
+    comm_fid_delta: Summary
+    comm_gef: Summary | None
+    comm_topk_fid_delta: Summary | None
+    comm_budgeted_fidelity: Summary | None
+    renorm_topk_fid_delta: Summary | None
+    renorm_budgeted_fidelity: Summary | None
+
+
+class BehaviourMetrics(Record):
+    """The means of `BehaviourRow`, over the episodes that were played so; null where none was."""
+
+    success_on_explanation: Summary | None
+    success_on_complement: Summary | None
+    reward_on_explanation: Summary | None
+    reward_on_complement: Summary | None
+    no_agent_collision_on_explanation: Summary | None
+    no_agent_collision_on_complement: Summary | None
+    behavioural_fidelity: Summary | None
+
+
+class ControlMetrics(ExplanationMetrics, BehaviourMetrics):
+    """A control on the same episodes."""
+
+
+class Metrics(ExplanationMetrics, BehaviourMetrics):
+    """Every metric of a cell; null where it was not measured, see `CellResult.not_measured`."""
+
+    seed_stability: Summary | None
+    weight_randomisation: Summary | None
+    communication_dependence: Summary
+    attention_entropy: Summary | None
+    attention_distance: Summary | None
+    reward: Summary
+    success_rate: Summary
+    no_agent_collision: Summary
+    no_object_collision: Summary | None
+    makespan: Summary
+
+
+class CellResult(Record):
+    task: Name
+    n_agents: Agents
+    max_cycles: Annotated[int, Field(ge=1, le=10**6)]
+    metrics: Metrics
+    not_measured: Annotated[dict[Name, Text], Field(max_length=100)]  # metric -> why it is null
+    controls: Annotated[dict[Name, ControlMetrics], Field(max_length=100)]
+    behaviour_episodes: Count  # the first so many were also played on the explanation and on the complement
+    episodes: tuple[EpisodeRow, ...]
+
+
+class Cost(Record):
+    """Wall clock on one thread. No part of the entry's id."""
+
+    explain_seconds_per_timestep: Seconds  # masks only, no metrics
+    explained_timesteps: Count
+    shared_seconds_per_timestep: Seconds  # oracle, controls and their metrics: once for all explainers
+    behaviour_seconds: Seconds  # the rollouts on the explanation and on the complement
+
+
+class Provenance(Record):
+    """Numbers repeat bit for bit where `packages`, `python`, `machine` and `cpu_capability` are the same."""
+
+    harness_version: Text
+    commit: Text | None
+    dirty: bool | None
+    packages: Annotated[dict[Text, Text], Field(max_length=100)]
+    python: Text
+    os: Text
+    machine: Text  # x86_64, arm64, ...
+    cpu: Text
+    cpu_capability: Text  # the vector instructions torch uses: they decide how it rounds
+    threads: Annotated[int, Field(ge=1)]  # per worker
+    jobs: Annotated[int, Field(ge=1)]
+    command: Text
+    started: Text  # ISO 8601, UTC
+    finished: Text
+
+
+class Verification(Record):
+    """Who found the numbers right, how, with what. Written by `xmarl-bench verify`, not by submitters."""
+
+    status: Literal["unverified", "recomputed", "spot-rerun", "re-executed"] = "unverified"
+    by: Text | None = None
+    when: Text | None = None  # ISO 8601, UTC
+    harness_version: Text | None = None
+    packages: Annotated[dict[Text, Text], Field(max_length=100)] | None = None
+    machine: Text | None = None
+    episodes: Count = 0  # played and explained again, in all cells
+    bitwise: bool | None = None  # compared to the bit, or within the tolerance of other machines
+    max_abs_diff: NotNegative | None = None  # of any number compared
+
+
+class Entry(Record):
+    schema_version: Literal[3] = SCHEMA_VERSION
+    entry_id: Sha256
+    submitter: Text | None
+    policy: PolicyRecord
+    explainer: ExplainerRecord
+    protocol: Protocol
+    results: Annotated[tuple[CellResult, ...], Field(min_length=1, max_length=100)]
+    cost: Cost
+    provenance: Provenance
+    reported: dict[str, JsonValue] | None = (
+        None  # claims of a paper or submitter, kept apart from measurements
+    )
+    verification: Verification = Verification()
+
+    @property
+    def file_name(self) -> str:
+        """The same policy, explainer, protocol and cells: the same file, so a new score replaces the old."""
+        cells = [[cell.task, cell.n_agents, cell.max_cycles] for cell in self.results]
+        scope = canonical_json([self.protocol.model_dump(mode="json"), self.explainer.seed, cells])
+        return f"{self.policy.name}.{self.explainer.name}.{hashlib.sha256(scope).hexdigest()[:8]}.json"
+
+
+def make_entry(**fields: Any) -> Entry:
+    """An entry with its id computed."""
+    draft = Entry(entry_id="0" * 64, **fields)
+    return draft.model_copy(update={"entry_id": entry_id(draft)})
+
+
+def entry_id(entry: Entry) -> str:
+    return id_of(members(entry.model_dump(mode="json")))
+
+
+def id_of(parts: Mapping[str, bytes]) -> str:
+    """Of the texts of an entry's fields."""
+    hashed = {name: text for name, text in parts.items() if name not in NOT_HASHED}
+    return hashlib.sha256(object_of(hashed)).hexdigest()

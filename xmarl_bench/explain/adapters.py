@@ -1,0 +1,246 @@
+"""`as_explainer`: what people bring - a function, a class, an algorithm of PyG - becomes an `Explainer`.
+
+One rule for what is called: its parameters are told apart by name. `policy`, `observations` and `generator`
+are given to those who name them, in any order; any other parameter needs a default.
+
+    @as_explainer(stochastic=True)
+    def noisy(observations, generator): ...
+
+    class Nearest:                       # attributes declare, see `Explainer`; `fit` if needs_fit is True
+        accesses = "black-box"
+        def explain(self, observations, policy): ...
+"""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypedDict, Unpack, get_args, overload
+
+import torch
+from torch import Tensor
+from torch_geometric.explain import AttentionExplainer, CaptumExplainer, ExplainerAlgorithm, PGExplainer
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.explainer import Access, Explain, Explainer, Fit, Scalar
+from xmarl_bench.explain.pyg import Copies, PygExplain, PygFit
+from xmarl_bench.policy import Policy
+
+PARAMETERS = ("policy", "observations", "generator")
+
+
+class Declared(TypedDict, total=False):
+    """What may be declared, as arguments of the decorator or attributes of a class: see `Explainer`."""
+
+    name: str
+    summary: str
+    stochastic: bool
+    slow: bool
+    hyperparameters: Mapping[str, Scalar]
+    batched: bool
+    binary: bool
+    signed: bool
+    needs_fit: bool
+    accesses: Access | None
+
+
+FLAGS = ("stochastic", "slow", "batched", "binary", "signed", "needs_fit")
+DECLARATIONS = ("name", "summary", "hyperparameters", "accesses", *FLAGS)
+
+
+@overload
+def as_explainer(thing: object, /, **declared: Unpack[Declared]) -> Explainer: ...
+@overload
+def as_explainer(**declared: Unpack[Declared]) -> Callable[[object], Explainer]: ...
+def as_explainer(thing: object = None, /, **declared: Unpack[Declared]) -> Any:
+    """Make an `Explainer` of a function, a class or object that explains, or an algorithm of PyG.
+
+    Also a decorator, with or without arguments. A class is called without arguments; an object explains by
+    its method `explain`, or by being called, and may declare by attributes; arguments here have the last
+    word. An `Explainer` stays what it is. Raises InputError for anything else, and for declarations that are
+    none.
+    """
+    if thing is None:
+        return lambda decorated: as_explainer(decorated, **declared)
+    if isinstance(thing, Explainer):
+        if declared:
+            raise InputError(
+                f"explainer {thing.name!r} is made already: declare {', '.join(declared)} where it is made."
+            )
+        return thing
+    if inspect.isclass(thing):
+        return as_explainer(_instance(thing), **declared)
+    if isinstance(thing, ExplainerAlgorithm):
+        return _of_algorithm(thing, declared)
+    if inspect.isroutine(thing):
+        return _made(thing.__name__, thing, None, {"summary": _first_line(thing)}, declared)
+    explain = getattr(thing, "explain", thing)
+    if not callable(explain):
+        raise InputError(
+            f"a {type(thing).__name__} explains nothing: give a function of observations and "
+            f"policy, a class with a method explain, or an algorithm of torch_geometric.explain."
+        )
+    own = {key: getattr(thing, key) for key in DECLARATIONS if hasattr(thing, key)}
+    own = {"summary": _first_line(type(thing)), "hyperparameters": _settings(thing), **own}
+    return _made(type(thing).__name__, explain, thing, own, declared)
+
+
+@dataclass(frozen=True)
+class Named:
+    """Calls `function` with those of policy, observations and generator that it names."""
+
+    function: Callable[..., Tensor]
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, name: str, function: Callable[..., Any]) -> Named:
+        """Raises InputError where a parameter is none of the three and has no default."""
+        try:
+            parameters = list(inspect.signature(function).parameters.values())
+        except (TypeError, ValueError):
+            raise InputError(
+                f"explainer {name!r} does not tell its parameters: wrap it in a function of observations "
+                f"and policy."
+            ) from None
+        optional = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+        needed = [p for p in parameters if p.default is p.empty and p.kind not in optional]
+        taken = [p for p in parameters if p.name in PARAMETERS and p.kind is not p.POSITIONAL_ONLY]
+        strange = [p.name for p in needed if p not in taken]
+        if strange or not taken:
+            got = ", ".join(p.name for p in parameters) or "nothing"
+            raise InputError(
+                f"explainer {name!r} takes ({got}): name its parameters policy, observations and, where it "
+                f"draws random numbers, generator; any other needs a default."
+            )
+        return cls(function, tuple(p.name for p in taken))
+
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator, /) -> Tensor:
+        given = {"policy": policy, "observations": observations, "generator": generator}
+        return self.function(**{name: given[name] for name in self.names})
+
+
+@dataclass(frozen=True)
+class FitByMethod:
+    """Fits a copy of an object by its method `fit`; the copy then explains."""
+
+    name: str
+    owner: Any
+
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Explain:
+        fitted = copy.deepcopy(self.owner)
+        Named.of(self.name, fitted.fit)(policy, observations, generator)
+        return Named.of(self.name, getattr(fitted, "explain", fitted))
+
+
+def code_of(explainer: Explainer) -> object:
+    """The function, class or algorithm that was brought."""
+    explain: object = explainer.explain
+    if isinstance(explain, Named):
+        explain = explain.function
+    if isinstance(explain, PygExplain) and isinstance(explain.algorithm, Copies):
+        return type(explain.algorithm.algorithm)
+    return type(explain.__self__) if inspect.ismethod(explain) else explain
+
+
+def _made(
+    name: str, explain: Callable[..., Any], owner: Any, own: Mapping[str, Any], declared: Declared
+) -> Explainer:
+    fields: dict[str, Any] = {"name": kebab(name), **own, **declared}
+    _check_declared(name, fields)
+    fit: Fit | None = None
+    if fields.pop("needs_fit", False):
+        if not callable(getattr(owner, "fit", None)):
+            raise InputError(
+                f"explainer {name!r} declares needs_fit: give it a method fit of observations and policy."
+            )
+        Named.of(f"{name}.fit", owner.fit)
+        fit = FitByMethod(fields["name"], owner)
+    return Explainer(explain=Named.of(name, explain), fit=fit, **fields)
+
+
+def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explainer:
+    """As it is, one graph at a time: Captum's on the effect of messages, PGExplainer trained first."""
+    copies, name = Copies.of(algorithm), kebab(type(algorithm).__name__)
+    settings = {**_settings(algorithm), **_scalars(copies.coeffs)}
+    fields: dict[str, Any] = {"hyperparameters": settings, "stochastic": True, "slow": True}
+    if isinstance(algorithm, AttentionExplainer):
+        fields |= {"stochastic": False, "slow": False}
+    captum = isinstance(algorithm, CaptumExplainer)
+    if captum:
+        method = algorithm.attribution_method_class.__name__
+        name = f"captum-{kebab(method)}"
+        repeated = method in ("IntegratedGradients", "ShapleyValueSampling")  # dozens of forward passes
+        fields |= {"signed": True, "slow": repeated, "stochastic": method == "ShapleyValueSampling"}
+        fields["hyperparameters"] = _scalars(algorithm.kwargs)
+    summary = f"{type(algorithm).__name__} of torch_geometric, unmodified"
+    fields |= {"summary": summary, "name": name, **declared}
+    _check_declared(name, fields)
+    if fields.get("accesses") in ("black-box", "attention"):
+        raise InputError(
+            f"explainer {name!r} declares accesses = {fields['accesses']!r}: algorithms of PyG run the "
+            f"network itself, so declare 'gradients' or nothing."
+        )
+    fit = PygFit(copies) if isinstance(algorithm, PGExplainer) else None
+    if fields.pop("needs_fit", fit is not None) != (fit is not None):
+        raise InputError(f"explainer {name!r}: of PyG's algorithms PGExplainer alone is fitted.")
+    return Explainer(explain=PygExplain(copies, effect=captum), fit=fit, **fields)
+
+
+def kebab(name: str) -> str:
+    """A name for files out of one in Python: GNNExplainer -> gnn-explainer, my_own stays."""
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name)
+    return words.lower().lstrip("_<").rstrip(">")
+
+
+def _settings(thing: object) -> dict[str, Scalar]:
+    """The arguments that an object was made with, where it keeps them under their names."""
+    attributes: dict[str, Any] = getattr(thing, "__dict__", {})
+    try:
+        names = inspect.signature(type(thing)).parameters
+    except ValueError:  # a class written in C
+        return {}
+    return _scalars({name: attributes[name] for name in names if name in attributes})
+
+
+def _scalars(values: Mapping[str, Any]) -> dict[str, Scalar]:
+    """What an entry can record of settings."""
+    return {
+        key: value
+        for key, value in values.items()
+        if not key.startswith("_") and isinstance(value, bool | int | float | str | None)
+    }
+
+
+def _instance(cls: type) -> object:
+    try:
+        return cls()
+    except Exception as error:
+        raise InputError(
+            f"explainer {cls.__name__!r} cannot be made without arguments ({type(error).__name__}: {error}): "
+            f"give an object of it."
+        ) from error
+
+
+def _first_line(thing: object) -> str:
+    return (inspect.getdoc(thing) or "").partition("\n")[0]
+
+
+def _check_declared(name: str, fields: Mapping[str, Any]) -> None:
+    """Raises InputError for a declaration that is none, or of another kind."""
+    for key, value in fields.items():
+        if key not in DECLARATIONS:
+            raise InputError(f"explainer {name!r} declares {key!r}: choose among {', '.join(DECLARATIONS)}.")
+        if key == "accesses":
+            right, wanted = value in (None, *get_args(Access)), f"one of {', '.join(get_args(Access))}"
+        elif key == "hyperparameters":
+            right = isinstance(value, Mapping) and len(_scalars(value)) == len(value)
+            wanted = "a dict of names and numbers, strings, booleans or None"
+        elif key in FLAGS:
+            right, wanted = isinstance(value, bool), "True or False"
+        else:
+            right, wanted = isinstance(value, str), "a string"
+        if not right:
+            raise InputError(f"explainer {name!r} declares {key} = {value!r}: give {wanted}.")

@@ -1,0 +1,72 @@
+"""Controls: masks to read every explainer by, scored on the same policy and states. Always available.
+
+Floors that explain nothing, and the ceiling that no binary mask passes. The mask of ones keeps everything,
+so Fid- and GEF are 0 and FidDelta is what removing all messages does: an explainer that merely keeps more is
+not better. The inverse of the explainer's own mask is a control too; being no function of the policy, it is
+made where the explainer is measured (xmarl_bench.score.measure).
+
+S is the number of timesteps, N agents, D observation entries.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.oracle import oracle_mask, soft_oracle_mask
+from xmarl_bench.policy import Policy
+
+RANDOM, INVERTED, ORACLE, SOFT_ORACLE = "random", "inverted", "oracle", "soft-oracle"
+
+
+def ones_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N): every edge kept."""
+    return torch.ones(_shape(observations))
+
+
+def zeros_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N): no edge kept."""
+    return torch.zeros(_shape(observations))
+
+
+def random_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N): every entry uniform in [0, 1), independent."""
+    return torch.rand(_shape(observations), generator=generator)
+
+
+def bernoulli_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N): every edge kept or dropped by the toss of a coin."""
+    return (torch.rand(_shape(observations), generator=generator) < 0.5).float()
+
+
+def self_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+    """(S, N, D) -> (S, N, N): every agent's own edge and no message between agents."""
+    n_steps, n_agents, _ = observations.shape
+    return torch.eye(n_agents).repeat(n_steps, 1, 1)
+
+
+def _shape(observations: Tensor) -> tuple[int, int, int]:
+    n_steps, n_agents, _ = observations.shape
+    return n_steps, n_agents, n_agents
+
+
+CONTROLS: dict[str, Explainer] = {
+    control.name: control
+    for control in (
+        Explainer(
+            "all-ones",
+            ones_mask,
+            "keeps every edge: the ceiling FidDelta cannot tell from truth",
+            control=True,
+        ),
+        Explainer("zeros", zeros_mask, "keeps nothing", control=True),
+        Explainer(RANDOM, random_mask, "uniform random mask: the floor", stochastic=True, control=True),
+        Explainer("bernoulli", bernoulli_mask, "random edges, half of them", stochastic=True, control=True),
+        Explainer("self", self_mask, "each agent's own edge alone: explains no coordination", control=True),
+        Explainer(ORACLE, oracle_mask, "the best binary mask for FidDelta", control=True),
+        Explainer(
+            SOFT_ORACLE, soft_oracle_mask, "the best mask found by ascent from the oracle", control=True
+        ),
+    )
+}

@@ -1,0 +1,44 @@
+"""What explainers that learn are fitted on: states of the policy's own episodes that no score uses.
+
+FIT_EPISODES episodes of environment seeds 2^30 + k, which are seeds as training draws them (scoring seeds
+begin at 10^12), at FIT_TIMESTEPS evenly spaced steps of each. They are the same for every explainer and every
+run, whatever its sampling. An explainer is fitted once per policy and team size.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from xmarl_bench.explain.explainer import Explainer, fit_explainer
+from xmarl_bench.policy import Policy
+from xmarl_bench.reproducible import derived_seed, one_thread
+from xmarl_bench.rollout.episodes import Rollout
+from xmarl_bench.score.measure import spaced_timesteps
+
+FIT_EPISODES: Final = 10
+FIT_TIMESTEPS: Final = 20
+FIRST_FIT_SEED: Final = 2**30
+
+
+def fit_states(policy: Policy, task: str, n_agents: int) -> Tensor:
+    """(S, N, D) observations to fit an explainer on."""
+    seeds = tuple(range(FIRST_FIT_SEED, FIRST_FIT_SEED + FIT_EPISODES))
+    episodes = Rollout(policy, task, n_agents, seeds, None).play()
+    return torch.tensor(
+        np.concatenate(
+            [each.observations[spaced_timesteps(each.makespan, FIT_TIMESTEPS)] for each in episodes]
+        )
+    )
+
+
+def fitted(explainer: Explainer, policy: Policy, task: str, n_agents: int, seed: int) -> Explainer:
+    """The explainer, fitted to the policy where it needs that. seed: of the run. Raises InputError."""
+    if explainer.fit is None:
+        return explainer
+    states = fit_states(policy, task, n_agents)
+    with one_thread():
+        return fit_explainer(explainer, policy, states, derived_seed("fit", seed, explainer.name))

@@ -1,0 +1,208 @@
+"""Runs an unmodified torch_geometric.explain algorithm on a policy, one graph (timestep) at a time.
+
+What PyG 2.8.1 leaves behind is kept from the policy and from the next graph: every graph gets its own deep
+copy of the policy (GraphMask freezes the model, keeps hooks on it and changes its plain forward), its own
+algorithm object and its own seed, drawn from the episode's generator; torch's global random state, the only
+one PyG knows, is put back, and so are the settings that two algorithms keep on their class.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch_geometric.explain import Explainer as PygExplainer
+from torch_geometric.explain import ExplainerAlgorithm, Explanation, ModelConfig, PGExplainer
+
+from xmarl_bench.explain.effect import effect_direction
+from xmarl_bench.policy import Policy
+
+
+@dataclass(frozen=True)
+class PygExplain:
+    """An `Explain` callable (see xmarl_bench.explain.explainer) made of a PyG algorithm.
+
+    The graph is the policy's own, its edges in the order of our mask.
+
+    algorithm: makes a fresh algorithm object.
+    effect: explain the sum over agents of e_i (xmarl_bench.explain.effect), the single number that
+        CaptumExplainer needs. Otherwise the deterministic action of all agents is explained, a regression on
+        nodes.
+    per_agent: explain one agent at a time (PyG's `index`) and take row i from the explanation of agent i.
+    to_unit: brings the attributions (N, N) of algorithms that return no mask into [0, 1].
+
+    A PGExplainer is trained on all timesteps and agents of the episode first (`PygFit` takes other states),
+    one object for the episode, and explains agent by agent whatever the options say: PyG's does nothing else.
+    """
+
+    algorithm: Callable[[], ExplainerAlgorithm]
+    effect: bool = False
+    per_agent: bool = False
+    to_unit: Callable[[Tensor], Tensor] | None = None
+
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+        """(S, N, D) -> (S, N, N)."""
+        seeds = torch.randint(2**62, (len(observations),), generator=generator).tolist()
+        with class_settings_kept(), torch.random.fork_rng(devices=[]), torch.enable_grad():
+            torch.manual_seed(seeds[0])
+            if isinstance(self.algorithm(), PGExplainer):
+                return PygFit(self.algorithm)(policy, observations, generator)(
+                    policy, observations, generator
+                )
+            masks = [
+                self._explain(policy, graph.clone(), seed)
+                for graph, seed in zip(observations, seeds, strict=True)
+            ]
+        mask = torch.stack(masks).detach()
+        return mask if self.to_unit is None else self.to_unit(mask)
+
+    def _explain(self, policy: Policy, x: Tensor, seed: int) -> Tensor:
+        """(N, D) observations of one timestep -> (N, N)."""
+        torch.manual_seed(seed)
+        edge_index = policy.edges(x)
+        if not self.per_agent:
+            return self._explanation(policy, x, edge_index, None)
+        return torch.stack([self._explanation(policy, x, edge_index, i)[i] for i in range(len(x))])
+
+    def _explanation(self, policy: Policy, x: Tensor, edge_index: Tensor, index: int | None) -> Tensor:
+        model = _private(policy, differentiable=self.effect)
+        explained = _Effect(model, x) if self.effect else model
+        explainer = _connect(explained, self.algorithm(), "graph" if self.effect else "node", "model")
+        return _matrix(explainer(x, edge_index, index=index))
+
+
+class _Effect(nn.Module):
+    """The sum over agents of e_i, up to a constant: one number per graph, as Captum takes it."""
+
+    def __init__(self, policy: Policy, x: Tensor) -> None:
+        super().__init__()
+        self.policy = policy
+        self.direction = effect_direction(policy, policy.prepare(x[None]), 1, len(x))[0]
+
+    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        action: Tensor = self.policy(x, edge_index)
+        return (action * self.direction).sum().view(1)
+
+
+@dataclass(frozen=True)
+class PygFit:
+    """A `Fit` (see explainer.py) made of a PGExplainer, the algorithm of PyG that learns first.
+
+    algorithm: makes a fresh PGExplainer. It is trained on every timestep and agent, `epochs` times.
+    """
+
+    algorithm: Callable[[], ExplainerAlgorithm]
+
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> TrainedPG:
+        """(S, N, D) -> what explains the policy, agent by agent."""
+        agents = range(observations.shape[1])
+        with class_settings_kept(), torch.random.fork_rng(devices=[]), torch.enable_grad():
+            torch.manual_seed(int(torch.randint(2**62, (), generator=generator)))
+            algorithm, model = self.algorithm(), _private(policy)
+            assert isinstance(algorithm, PGExplainer)
+            _connect(model, algorithm, "node", "phenomenon")
+            graphs = [(x.clone(), policy.edges(x)) for x in observations]
+            targets = [model(x, edge_index).detach() for x, edge_index in graphs]
+            for epoch in range(algorithm.epochs):
+                for (x, edge_index), target in zip(graphs, targets, strict=True):
+                    for i in agents:
+                        algorithm.train(epoch, model, x, edge_index, target=target, index=i)
+        return TrainedPG(algorithm)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedPG:
+    """An `Explain` made of a PGExplainer that has been trained."""
+
+    algorithm: PGExplainer
+
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+        """(S, N, D) -> (S, N, N): row i is explained for agent i alone."""
+        agents = range(observations.shape[1])
+        model = _private(policy)
+        explainer = _connect(model, copy.deepcopy(self.algorithm), "node", "phenomenon")
+        masks = []
+        for x in observations:
+            edge_index = policy.edges(x)
+            with torch.no_grad():
+                target = model(x, edge_index)
+            rows = [_matrix(explainer(x, edge_index, target=target, index=i))[i] for i in agents]
+            masks.append(torch.stack(rows))
+        return torch.stack(masks).detach()
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Makes fresh algorithms of one that somebody set up, with its settings of that moment."""
+
+    algorithm: ExplainerAlgorithm
+    coeffs: dict[str, Any]
+
+    @classmethod
+    def of(cls, algorithm: ExplainerAlgorithm) -> Copies:
+        return cls(algorithm, copy.deepcopy(getattr(algorithm, "coeffs", {})))
+
+    def __call__(self) -> ExplainerAlgorithm:
+        fresh = copy.deepcopy(self.algorithm)
+        if self.coeffs:
+            fresh.coeffs = copy.deepcopy(self.coeffs)  # its own, where PyG keeps them on the class
+        if isinstance(fresh, PGExplainer):
+            # Its weights were drawn when it was made, and its optimiser holds layers that were not copied.
+            fresh.reset_parameters()
+            fresh.optimizer = torch.optim.Adam(fresh.mlp.parameters(), lr=fresh.lr)
+        return fresh
+
+
+def _matrix(explanation: Explanation) -> Tensor:
+    """(N, N), 0 where there is no edge."""
+    sender, receiver = explanation.edge_index
+    x: Tensor = explanation.x
+    matrix = x.new_zeros(len(x), len(x))
+    matrix[receiver, sender] = explanation.edge_mask.detach()
+    return matrix
+
+
+def _private(policy: Policy, *, differentiable: bool = False) -> Policy:
+    """A copy. No algorithm trains the model: PyG's own would compute gradients of the weights for nothing.
+
+    Captum's Deconvolution and GuidedBackprop need them, for they hook every ReLU, also before the mask.
+    """
+    model = copy.deepcopy(policy)
+    model.requires_grad_(differentiable)
+    return model
+
+
+def _connect(
+    model: nn.Module, algorithm: ExplainerAlgorithm, task_level: str, explanation_type: str
+) -> PygExplainer:
+    return PygExplainer(
+        model=model,
+        algorithm=algorithm,
+        explanation_type=explanation_type,
+        edge_mask_type="object",
+        model_config=ModelConfig(mode="regression", task_level=task_level),
+    )
+
+
+@contextmanager
+def class_settings_kept() -> Iterator[None]:
+    """Put back what PyG's algorithms keep on their class: `coeffs`, which every instance made updates."""
+    before = {owner: copy.deepcopy(owner.coeffs) for owner in _owners(ExplainerAlgorithm)}
+    try:
+        yield
+    finally:
+        for owner, coeffs in before.items():
+            owner.coeffs = coeffs
+
+
+def _owners(algorithm: type[Any]) -> Iterator[type[Any]]:
+    """Subclasses, at any depth, with a `coeffs` of their own."""
+    for subclass in algorithm.__subclasses__():
+        if "coeffs" in vars(subclass):
+            yield subclass
+        yield from _owners(subclass)

@@ -1,0 +1,63 @@
+"""Does an explanation depend on the weights, as it should, and not on the seed, as it should not?
+
+Both are checked on a few timesteps of a few episodes: they ask for several more runs of the explainer.
+Sources: Adebayo et al., "Sanity Checks for Saliency Maps" (NeurIPS 2018), model parameter randomisation;
+Agarwal et al. (GraphXAI, 2023), stability.
+"""
+
+from __future__ import annotations
+
+import copy
+from itertools import combinations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
+from xmarl_bench.metrics import rank_correlation
+from xmarl_bench.policy import Policy, existing_edges
+from xmarl_bench.reproducible import derived_seed
+
+SEEDS = 3
+
+
+def seed_stability(
+    explainer: Explainer, policy: Policy, observations: Tensor, mask: Tensor, seed: int
+) -> float:
+    """Mean rank correlation of the masks (S, N, N) of SEEDS seeds, `mask` the first; 1 is perfectly stable.
+
+    NaN where a mask ranks nothing. An explainer that says it is not stochastic is stable by its own word.
+    """
+    masks = [mask.numpy()] + [
+        run_explainer(explainer, policy, observations, derived_seed("stability", seed, k)).numpy()
+        for k in range(1, SEEDS)
+    ]
+    edges = existing_edges(policy, observations)
+    return float(np.mean([rank_correlation(one, other, edges) for one, other in combinations(masks, 2)]))
+
+
+def weight_randomisation(
+    explainer: Explainer, policy: Policy, observations: Tensor, mask: Tensor, seed: int
+) -> float:
+    """Rank correlation of `mask` (S, N, N) with that of the same policy after its weights were shuffled.
+
+    Near 0 is right: what was learned has gone, so should the explanation. NaN where a mask ranks nothing.
+    """
+    shuffled = shuffled_weights(policy, derived_seed("shuffled weights", seed))
+    if explainer.fitted_on is not None:  # what it learned of the weights as they were has to go as well
+        refit = derived_seed("shuffled fit", seed)
+        explainer = fit_explainer(explainer, shuffled, explainer.fitted_on, refit)
+    other = run_explainer(explainer, shuffled, observations, derived_seed("shuffled", seed))
+    return rank_correlation(mask.numpy(), other.numpy(), existing_edges(policy, observations))
+
+
+def shuffled_weights(policy: Policy, seed: int) -> Policy:
+    """A copy whose every parameter tensor has its entries in random order: same scales, nothing learned."""
+    generator = torch.Generator().manual_seed(seed)
+    shuffled = copy.deepcopy(policy)
+    with torch.no_grad():
+        for parameter in shuffled.parameters():
+            order = torch.randperm(parameter.numel(), generator=generator)
+            parameter.copy_(parameter.flatten()[order].view_as(parameter))
+    return shuffled

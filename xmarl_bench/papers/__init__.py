@@ -1,0 +1,1 @@
+"""Claims of papers, tested by the harness; no part of scoring."""

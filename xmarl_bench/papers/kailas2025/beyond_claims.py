@@ -1,0 +1,84 @@
+"""Statements that no paper makes, on what its explainers and metrics leave open. Same cells, same rules."""
+
+from __future__ import annotations
+
+from xmarl_bench.explain.controls import ORACLE
+from xmarl_bench.papers.kailas2025.claims import (
+    ATTENTION,
+    GNN,
+    GRAPHMASK,
+    MENDED,
+    RATE_MARGIN,
+    Claim,
+    Contrast,
+    Quantifier,
+    Relation,
+    Side,
+    Term,
+    beats,
+)
+from xmarl_bench.papers.kailas2025.main_claims import CELLS
+
+ALL_ONES = "all-ones"
+PLACE = "none: ours"
+
+
+def beyond(id: str, text: str, *contrasts: Contrast, quantifier: Quantifier = Quantifier.MOST) -> Claim:
+    return Claim(f"beyond-{id}", "-", PLACE, text, CELLS, contrasts, quantifier)
+
+
+def alike(one: str, other: str, metric: str, margin: float) -> Contrast:
+    return Contrast(metric, Side(Term(one)), Side(Term(other)), Relation.SAME, margin)
+
+
+BEYOND_CLAIMS: tuple[Claim, ...] = (
+    beyond(
+        "hard-masks-suffice",
+        "Hardness is no limit (against line 331): the best binary mask has more FidDelta than the soft masks "
+        "of AttentionExplainer and GNNExplainer",
+        beats(ORACLE, ATTENTION, "fid_delta"), beats(ORACLE, GNN, "fid_delta"),
+        quantifier=Quantifier.TOGETHER,
+    ),
+    beyond(
+        "all-ones",
+        "FidDelta can be gamed: the mask of ones, which explains nothing, has more of it than all three",
+        *(beats(ALL_ONES, each, "fid_delta") for each in (ATTENTION, GNN, GRAPHMASK)),
+        quantifier=Quantifier.TOGETHER,
+    ),
+    beyond(
+        "graphmask-corrected",
+        "GraphMask after its own paper has more FidDelta than torch_geometric's",
+        beats(MENDED[GRAPHMASK], GRAPHMASK, "fid_delta"),
+    ),
+    beyond(
+        "graphmask-corrected-ranks",
+        "GraphMask after its own paper ranks messages better than torch_geometric's",
+        beats(MENDED[GRAPHMASK], GRAPHMASK, "comm_budgeted_fidelity"),
+    ),
+    beyond(
+        "gnn-tuned",
+        "Tuned GNNExplainer has more FidDelta than with its defaults",
+        beats(MENDED[GNN], GNN, "fid_delta"),
+    ),
+    beyond(
+        "gnn-tuned-ranks",
+        "Tuned GNNExplainer ranks messages better than with its defaults",
+        beats(MENDED[GNN], GNN, "comm_budgeted_fidelity"),
+    ),
+    beyond(
+        "mask-mass",
+        "Mask mass alone moves FidDelta: attention divided by its row maximum has more of it than attention",
+        beats(MENDED[ATTENTION], ATTENTION, "fid_delta"),
+    ),
+    beyond(
+        "mask-mass-ranks",
+        "... and ranks messages as attention does (communication-only budgeted fidelity within 0.05)",
+        alike(MENDED[ATTENTION], ATTENTION, "comm_budgeted_fidelity", RATE_MARGIN),
+    ),
+    beyond(
+        "attention-ranks-best",
+        "AttentionExplainer ranks messages better than tuned GNNExplainer and corrected GraphMask",
+        beats(ATTENTION, MENDED[GNN], "comm_budgeted_fidelity"),
+        beats(ATTENTION, MENDED[GRAPHMASK], "comm_budgeted_fidelity"),
+    ),
+)  # fmt: skip

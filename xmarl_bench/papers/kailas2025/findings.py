@@ -1,0 +1,208 @@
+"""docs/findings.md: what holds of the paper's conclusions, in sentences with their numbers.
+
+    python -m xmarl_bench.papers.kailas2025.findings study/main study/training study/zero-shot
+
+Reads results.json of each folder and writes docs/findings.json, the small file that is committed, and
+docs/findings.md, which is a function of it. No number and no verdict is typed.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from jinja2 import Environment, StrictUndefined
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.papers.kailas2025.ledger import Verdict
+from xmarl_bench.papers.kailas2025.lenses import BEHAVIOUR
+from xmarl_bench.papers.kailas2025.results import SCHEMA
+from xmarl_bench.papers.kailas2025.tables import (
+    METRIC_NAMES,
+    decisive,
+    difference,
+    lens_table,
+    p_value,
+    performance_table,
+)
+from xmarl_bench.records.files import write_atomically, write_json
+from xmarl_bench.score.request import Sampling
+
+Json = dict[str, Any]
+TEMPLATE = Path(__file__).with_name("findings.md.jinja")
+DATA, PAGE = "findings.json", "findings.md"
+HEADLINES = [f"main-{name}" for name in (
+    "graphmask-least", "gnn-best", "attention-over-gnn-with", "attention-fid-plus", "attention-fid-minus",
+    "attention-gef", "attention-fid-delta", "graphmask-fid-minus", "graphmask-fid-plus", "graphmask-gef",
+    "gnn-mixed", "success", "distance",
+)]  # fmt: skip
+KEPT = ("schema", "study", "title", "protocol", "policies", "missing", "performance")
+CONTRAST = (
+    "metric", "relation", "compares", "a_mean", "b_mean", "difference", "interval", "p_adjusted", "effect",
+    "n_policies", "n_episodes", "verdict",
+)  # fmt: skip
+
+
+def findings_of(results: Json) -> Json:
+    """What the page needs of a study's results: no values cell by cell."""
+    return {
+        **{name: results[name] for name in KEPT},
+        "ledger": [_brief(claim) for claim in results["ledger"]],
+        "beyond": [_brief(claim) for claim in results["beyond"]],
+        "lenses": [
+            {**lens, "claims": [_seen(claim) for claim in lens["claims"]]} for lens in results["lenses"]
+        ],
+    }
+
+
+def page_of(findings: list[Json]) -> str:
+    """The Markdown page of some studies."""
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    environment.filters.update(sentence=sentence, numbers=numbers)
+    studies = [
+        {
+            **each,
+            "groups": [(v.value, [c for c in each["ledger"] if c["verdict"] == v]) for v in Verdict],
+            "survival": survival(each),
+            "lens_table": lens_table(each).markdown(),
+            "performance_table": performance_table(each).markdown(),
+            "command": command(each),
+            "headlines": headlines(each),
+            "played": _played(each),
+            "gated": [policy for policy in each["policies"] if policy["gate"]],
+        }
+        for each in findings
+    ]
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(studies=studies)
+
+
+def through_lenses(findings: Json, claim: Json) -> Json:
+    """The lenses under which a statement held, was reversed, stayed open; those not measured are left out."""
+    seen = [
+        (lens["name"], each)
+        for lens in findings["lenses"]
+        for each in lens["claims"]
+        if each["id"] == claim["id"] and each["verdict"] != Verdict.NOT_MEASURED
+    ]
+    by = {verdict: [pair for pair in seen if pair[1]["verdict"] == verdict] for verdict in Verdict}
+    return {
+        "claim": claim,
+        "n": len(seen),
+        "held": by[Verdict.HELD],
+        "reversed": by[Verdict.NOT_HELD],
+        "open": by[Verdict.NOT_DECIDED],
+    }
+
+
+def survival(findings: Json) -> list[Json]:
+    """Statements that held as in the paper and that a lens touches."""
+    held = [claim for claim in findings["ledger"] if claim["verdict"] == Verdict.HELD]
+    return [seen for seen in (through_lenses(findings, claim) for claim in held) if seen["n"]]
+
+
+def headlines(findings: Json) -> str:
+    """The main conclusions as a Markdown table."""
+    lines = ["| conclusion | on our policies | through other explainers and metrics |", "|---|---|---|"]
+    for claim in findings["ledger"]:
+        if claim["id"] in HEADLINES:
+            seen = through_lenses(findings, claim)
+            parts = [f"held {len(seen['held'])}"] if seen["held"] else []
+            parts += [
+                f"{word}: {', '.join(name for name, _ in seen[key])}"
+                for key, word in (("reversed", "reversed"), ("open", "not decided"))
+                if seen[key]
+            ]
+            lines.append(f"| {claim['text']} | **{claim['verdict']}** | {'; '.join(parts) or '-'} |")
+    return "\n".join(lines)
+
+
+def sentence(claim: Json) -> str:
+    """The statement, where it stands, and its numbers."""
+    lines = claim["lines"]
+    place = "" if lines == "-" else f"line{'' if lines.isdecimal() else 's'} {lines}; "
+    return f"{claim['text']} ({place}asked of {claim['quantifier']}): {numbers(claim)}."
+
+
+def numbers(claim: Json) -> str:
+    """Cells of each verdict, and over all policies the comparison that the verdict hangs on."""
+    counts, shown = claim["counts"], decisive(claim)
+    n = sum(counts.values())
+    parts = [f"{counts[verdict]} {word}" for verdict, word in _COUNTED if counts[verdict]]
+    text = f"of {n} cell{'s' if n > 1 else ''} {', '.join(parts)}"
+    if shown["difference"] is None:
+        return text
+    return (
+        f"{text}; {METRIC_NAMES[shown['metric']]}, {shown['compares']}: {difference(shown)}, "
+        f"effect {shown['effect']:+.2f}, p {p_value(shown)}, {shown['n_policies']} policies"
+    )
+
+
+_COUNTED = (
+    ("held", "held"), ("not held", "the reverse"), ("not decided", "not decided"),
+    ("not measured", "not measured"),
+)  # fmt: skip
+
+
+def command(findings: Json) -> str:
+    """What scores the same states again."""
+    protocol = findings["protocol"]
+    options = [f"--episodes {protocol['episodes']}"] if protocol["episodes"] != Sampling.episodes else []
+    options += [] if protocol["timesteps"] is None else [f"--timesteps {protocol['timesteps']}"]
+    return " ".join(["xmarl-bench study", findings["study"], "--jobs 2", *options])
+
+
+def _played(findings: Json) -> bool:
+    """Whether teams played on the explanations that behavioural fidelity compares."""
+    return any(
+        claim["verdict"] != Verdict.NOT_MEASURED
+        for lens in findings["lenses"]
+        if lens["name"] == BEHAVIOUR.name
+        for claim in lens["claims"]
+    )
+
+
+def _brief(claim: Json) -> Json:
+    names = ("id", "lines", "text", "quantifier", "verdict", "counts")
+    return {**{name: claim[name] for name in names}, "overall": [_kept(each) for each in claim["overall"]]}
+
+
+def _seen(claim: Json) -> Json:
+    """Through a lens: who it is and what its verdict hangs on."""
+    return {
+        **{name: claim[name] for name in ("id", "verdict", "counts")},
+        "overall": [_kept(decisive(claim))],
+    }
+
+
+def _kept(contrast: Json) -> Json:
+    return {name: contrast[name] for name in CONTRAST}
+
+
+def read_results(folder: Path) -> Json:
+    """results.json of a study's folder. Raises InputError."""
+    path = folder / "results.json"
+    try:
+        results: Json = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read ({error}): run `xmarl-bench study` first.") from None
+    if results.get("schema") != SCHEMA:
+        raise InputError(f"{path} is of schema {results.get('schema')}, not {SCHEMA}: run the study again.")
+    return results
+
+
+def main(
+    folders: Annotated[list[Path], typer.Argument(help="Folders of studies, in the order of the page.")],
+    out: Annotated[Path, typer.Option(help="Where findings.json and findings.md go.")] = Path("docs"),
+) -> None:
+    """Write the findings of some studies."""
+    findings = [findings_of(read_results(folder)) for folder in folders]
+    write_json(out / DATA, findings)
+    write_atomically(out / PAGE, page_of(json.loads((out / DATA).read_bytes())).encode())
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,207 @@
+"""Judges statements on samples: held, not held or not decided, with the numbers.
+
+The episode is the unit. A contrast of one cell holds where both tests agree: the paper's (two-sided
+Mann-Whitney U of all episodes, p under 0.05 after Bonferroni over the tests of the statement) and the
+bootstrap interval of the mean paired difference (training runs resampled first, their episodes within them),
+which must not hold 0. "The same" and "no worse" are judged by that interval against a margin. Differences
+are signed so that positive is what the statement says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from xmarl_bench.metrics.statistics import MannWhitney, bonferroni, hierarchical_bootstrap, mann_whitney
+from xmarl_bench.papers.kailas2025.claims import (
+    ORIENTATION,
+    Cell,
+    Claim,
+    Combine,
+    Contrast,
+    Quantifier,
+    Relation,
+)
+from xmarl_bench.papers.kailas2025.samples import Blocks, Samples
+from xmarl_bench.reproducible import derived_seed
+
+ALPHA = 0.05
+RESAMPLES = 2000
+
+
+class Verdict(StrEnum):
+    HELD = "held"
+    NOT_HELD = "not held"
+    NOT_DECIDED = "not decided"
+    NOT_MEASURED = "not measured"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Both sides of a contrast on some policies. Differences and effect are positive as claimed."""
+
+    n_policies: int  # or pairs of policies
+    n_episodes: int
+    n_nan: int
+    a: float | None  # mean over policies of the mean over episodes
+    b: float | None
+    difference: float | None
+    interval: tuple[float, float] | None
+    p: float | None
+    effect: float | None  # rank-biserial correlation, in [-1, 1]
+
+
+@dataclass(frozen=True)
+class JudgedContrast:
+    contrast: Contrast
+    compared: Compared
+    p_adjusted: float | None
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class JudgedCell:
+    cell: Cell
+    contrasts: tuple[JudgedContrast, ...]
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A statement, judged."""
+
+    claim: Claim
+    cells: tuple[JudgedCell, ...]
+    overall: tuple[JudgedContrast, ...]  # of each contrast, the policies of all cells together
+    verdict: Verdict
+
+    def count(self, verdict: Verdict) -> int:
+        return sum(cell.verdict is verdict for cell in self.cells)
+
+
+@dataclass
+class Judge:
+    """Judges claims on the same samples; what several claims ask is compared once."""
+
+    samples: Samples
+    known: dict[tuple[Contrast, tuple[Cell, ...]], Compared] = field(default_factory=dict)
+
+    def judge(self, claim: Claim) -> Judged:
+        compared = [[self.compare(each, (cell,)) for each in claim.contrasts] for cell in claim.cells]
+        adjusted = iter(_adjusted([each for row in compared for each in row]))
+        cells = []
+        for cell, row in zip(claim.cells, compared, strict=True):
+            judged = _judged(claim.contrasts, row, [next(adjusted) for _ in row])
+            cells.append(JudgedCell(cell, judged, combine([each.verdict for each in judged], claim.combine)))
+        everywhere = [self.compare(each, claim.cells) for each in claim.contrasts]
+        overall = _judged(claim.contrasts, everywhere, _adjusted(everywhere))
+        if claim.quantifier is Quantifier.TOGETHER:
+            verdict = combine([each.verdict for each in overall], claim.combine)
+        else:
+            verdict = quantify([cell.verdict for cell in cells], claim.quantifier)
+        return Judged(claim, tuple(cells), overall, verdict)
+
+    def compare(self, contrast: Contrast, cells: tuple[Cell, ...]) -> Compared:
+        key = contrast, cells
+        if key not in self.known:
+            a: Blocks = []
+            b: Blocks = []
+            for cell in cells:
+                more_a, more_b = self.samples.blocks(cell, contrast)
+                a += more_a
+                b += more_b
+            rng = np.random.default_rng(derived_seed("ledger", repr(contrast), *map(repr, cells)))
+            self.known[key] = compare(a, b, ORIENTATION[contrast.metric], rng)
+        return self.known[key]
+
+
+def compare(a: Blocks, b: Blocks, orientation: int, rng: np.random.Generator) -> Compared:
+    """Two lists of (E,) arrays, one pair per policy; orientation -1 where less is better."""
+    difference = hierarchical_bootstrap(
+        [orientation * x for x in a], [orientation * x for x in b], rng, resamples=RESAMPLES
+    )
+    test: MannWhitney | None = mann_whitney(np.concatenate(a), np.concatenate(b)) if a else None
+    measured = [
+        (x[~np.isnan(x)], y[~np.isnan(y)])
+        for x, y in zip(a, b, strict=True)
+        if not np.isnan(x).all() and not np.isnan(y).all()
+    ]
+    return Compared(
+        n_policies=len(measured),
+        n_episodes=difference.n,
+        n_nan=difference.n_nan,
+        a=float(np.mean([x.mean() for x, _ in measured])) if measured else None,
+        b=float(np.mean([y.mean() for _, y in measured])) if measured else None,
+        difference=difference.value,
+        interval=difference.interval,
+        p=None if test is None else test.p,
+        effect=None if test is None else orientation * test.effect,
+    )
+
+
+def decide(contrast: Contrast, compared: Compared, p_adjusted: float | None) -> Verdict:
+    """NOT_HELD is that the reverse was shown, not that nothing was."""
+    if compared.difference is None:
+        return Verdict.NOT_MEASURED
+    if compared.interval is None:
+        return Verdict.NOT_DECIDED
+    low, high = compared.interval
+    margin = contrast.margin
+    if contrast.relation is Relation.SAME:
+        if -margin <= low and high <= margin:
+            return Verdict.HELD
+        return Verdict.NOT_HELD if low > margin or high < -margin else Verdict.NOT_DECIDED
+    if contrast.relation is Relation.NO_WORSE:
+        if low >= -margin:
+            return Verdict.HELD
+        return Verdict.NOT_HELD if high < -margin else Verdict.NOT_DECIDED
+    assert compared.effect is not None
+    if p_adjusted is None or p_adjusted >= ALPHA:
+        return Verdict.NOT_DECIDED
+    if low > 0 and compared.effect > 0:
+        return Verdict.HELD
+    return Verdict.NOT_HELD if high < 0 and compared.effect < 0 else Verdict.NOT_DECIDED
+
+
+def combine(verdicts: Sequence[Verdict], how: Combine) -> Verdict:
+    """The verdict of a cell out of those of its contrasts."""
+    if Verdict.NOT_MEASURED in verdicts:
+        return Verdict.NOT_MEASURED
+    first, last = (Verdict.NOT_HELD, Verdict.HELD) if how is Combine.ALL else (Verdict.HELD, Verdict.NOT_HELD)
+    if first in verdicts:
+        return first
+    return last if all(each is last for each in verdicts) else Verdict.NOT_DECIDED
+
+
+def quantify(verdicts: Sequence[Verdict], quantifier: Quantifier) -> Verdict:
+    """The verdict of a statement out of those of its cells; see xmarl_bench.papers.kailas2025.claims."""
+    n = len(verdicts) - verdicts.count(Verdict.NOT_MEASURED)
+    held, reverse = verdicts.count(Verdict.HELD), verdicts.count(Verdict.NOT_HELD)
+    if n == 0:
+        return Verdict.NOT_MEASURED
+    if quantifier is Quantifier.EVERY:
+        yes, no = held == n, reverse > 0
+    elif quantifier is Quantifier.MOST:
+        yes, no = 2 * held > n, 2 * reverse >= n
+    else:
+        yes, no = held > 0 and reverse > 0, n in (held, reverse)
+    return Verdict.HELD if yes else Verdict.NOT_HELD if no else Verdict.NOT_DECIDED
+
+
+def _judged(
+    contrasts: Sequence[Contrast], compared: Sequence[Compared], adjusted: Sequence[float | None]
+) -> tuple[JudgedContrast, ...]:
+    return tuple(
+        JudgedContrast(contrast, each, p, decide(contrast, each, p))
+        for contrast, each, p in zip(contrasts, compared, adjusted, strict=True)
+    )
+
+
+def _adjusted(compared: Sequence[Compared]) -> list[float | None]:
+    """Bonferroni over the tests that were made."""
+    made = [each.p for each in compared if each.p is not None]
+    values = iter(bonferroni(made).tolist())
+    return [None if each.p is None else next(values) for each in compared]

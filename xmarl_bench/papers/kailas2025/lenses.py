@@ -1,0 +1,114 @@
+"""The same ledger through what the paper could not see: other variants of its explainers, other metrics.
+
+A lens exchanges explainers and metrics in a statement. A statement that it does not touch is left out of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from xmarl_bench.papers.kailas2025.claims import (
+    ATTENTION,
+    GNN,
+    GRAPHMASK,
+    MENDED,
+    OF_THE_POLICY,
+    RATE_MARGIN,
+    Claim,
+    Contrast,
+    Relation,
+    Side,
+    Term,
+)
+
+
+def metrics_of(claim: Claim) -> list[str]:
+    return [contrast.metric for contrast in claim.contrasts]
+
+
+SHARES = (
+    "budgeted_fidelity",
+    "comm_budgeted_fidelity",
+    "behavioural_fidelity",
+)  # of about 1, not of an action
+
+
+@dataclass(frozen=True)
+class Lens:
+    name: str
+    text: str
+    explainers: Mapping[str, str] = field(default_factory=dict)
+    metrics: Mapping[str, str] = field(default_factory=dict)
+
+    def apply(self, claim: Claim) -> Claim | None:
+        """The statement seen so; None where nothing of it changes, or where a simpler lens does the same."""
+        seen = replace(claim, contrasts=tuple(self._contrast(each) for each in claim.contrasts))
+        names = {
+            term.explainer for each in claim.contrasts for side in (each.a, each.b) for term in side.terms
+        }
+        if seen == claim:
+            return None
+        if self.metrics and metrics_of(seen) == metrics_of(claim):
+            return None
+        if len(self.explainers) > 1 and not self.metrics and len(names & set(self.explainers)) < 2:
+            return None
+        return seen
+
+    def _contrast(self, contrast: Contrast) -> Contrast:
+        if contrast.metric in OF_THE_POLICY:  # no explainer has a part in it
+            return contrast
+        metric = self.metrics.get(contrast.metric, contrast.metric)
+        margin = contrast.margin
+        if metric in SHARES and contrast.relation is not Relation.BETTER:
+            margin = RATE_MARGIN
+        return replace(
+            contrast, metric=metric, margin=margin, a=self._side(contrast.a), b=self._side(contrast.b)
+        )
+
+    def _side(self, side: Side) -> Side:
+        return Side(self._term(side.term), None if side.minus is None else self._term(side.minus))
+
+    def _term(self, term: Term) -> Term:
+        return replace(term, explainer=self.explainers.get(term.explainer, term.explainer))
+
+
+BUDGETED = {"fid_delta": "budgeted_fidelity"}
+COMMUNICATION = {name: f"comm_{name}" for name in ("fid_delta", "fid_plus", "fid_minus", "gef")}
+COMMUNICATION_BUDGETED = {"fid_delta": "comm_budgeted_fidelity"}
+
+BEHAVIOUR = Lens(
+    "behaviour",
+    "behavioural fidelity in place of FidDelta: success of the team on the explanation's messages above its "
+    "success on the others",
+    {},
+    {"fid_delta": "behavioural_fidelity"},
+)
+LENSES = (
+    Lens("corrected GraphMask", "GraphMask after its own paper", {GRAPHMASK: MENDED[GRAPHMASK]}),
+    Lens("tuned GNNExplainer", "GNNExplainer from zero with a larger learning rate", {GNN: MENDED[GNN]}),
+    Lens("attention / row max", "attention divided by its row maximum", {ATTENTION: MENDED[ATTENTION]}),
+    Lens("all three variants", "these three together", MENDED),
+    Lens(
+        "budgeted fidelity",
+        "budgeted fidelity in place of FidDelta: the ranking of edges alone",
+        {},
+        BUDGETED,
+    ),
+    Lens(
+        "communication-only", "messages between agents alone, every agent's own edge kept", {}, COMMUNICATION
+    ),
+    Lens(
+        "communication-only budgeted",
+        "communication-only budgeted fidelity in place of FidDelta: the leaderboard's order",
+        {},
+        COMMUNICATION_BUDGETED,
+    ),
+    Lens(
+        "variants by communication-only budgeted",
+        "the three variants, by communication-only budgeted fidelity",
+        MENDED,
+        COMMUNICATION_BUDGETED,
+    ),
+    BEHAVIOUR,
+)

@@ -1,0 +1,46 @@
+"""Task performance in the layout of the paper's tables: ours beside theirs, mean and standard deviation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from xmarl_bench.papers.kailas2025.claims import ATTENTION, Cell, Term
+from xmarl_bench.papers.kailas2025.paper import MAIN, MEASURES, TRAINING, ZERO_SHOT, Performance
+from xmarl_bench.papers.kailas2025.samples import Samples, pooled
+
+
+def reported(cell: Cell) -> Performance | None:
+    """What the paper has for a cell; None where it has nothing."""
+    if cell.percent is not None:
+        return TRAINING.get(cell.percent)
+    if cell.more:
+        return ZERO_SHOT.get((cell.n_trained, cell.n_trained + cell.more))
+    return MAIN.get((cell.task, cell.n_trained))
+
+
+def performance(samples: Samples, cells: tuple[Cell, ...]) -> list[dict[str, Any]]:
+    """A record per cell, with or without the term, and measure: over the episodes of all training runs."""
+    records: list[dict[str, Any]] = []
+    for cell in cells:
+        paper = reported(cell) or {}
+        for measure in MEASURES:
+            for regularised in (False, True):
+                runs = samples.runs(cell, Term(ATTENTION), regularised)
+                x = pooled(runs, measure)
+                theirs = paper.get(measure)
+                if theirs is None and not x.size:
+                    continue
+                pair = None if theirs is None else theirs[regularised]
+                records.append(
+                    {
+                        "cell": cell.label,
+                        "measure": measure,
+                        "regularised": regularised,
+                        "mean": float(x.mean()) if x.size else None,
+                        "std": float(x.std()) if x.size else None,
+                        "n_policies": len(runs),
+                        "n_episodes": int(x.size),
+                        "paper": None if pair is None else {"mean": pair.mean, "std": pair.std},
+                    }
+                )
+    return records

@@ -1,0 +1,122 @@
+"""The three studies: which policies in which cells, and what they are asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.papers.kailas2025 import main_claims, training_claims, zero_shot_claims
+from xmarl_bench.papers.kailas2025.beyond_claims import BEYOND_CLAIMS
+from xmarl_bench.papers.kailas2025.claims import MENDED, PAPER_EXPLAINERS, Cell, Claim
+from xmarl_bench.papers.kailas2025.main_claims import MAIN_CLAIMS
+from xmarl_bench.papers.kailas2025.paper import NAVIGATION, TRAINING
+from xmarl_bench.papers.kailas2025.samples import percent_of
+from xmarl_bench.papers.kailas2025.training_claims import TRAINING_CLAIMS
+from xmarl_bench.papers.kailas2025.zero_shot_claims import ZERO_SHOT_CLAIMS
+from xmarl_bench.plugins.registry import FoundExplainer, find_explainer, unknown
+from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.score.request import Cell as TaskCell
+from xmarl_bench.score.request import Request, Sampling
+from xmarl_bench.score.selection import ALL, select_policies
+
+EXPLAINERS = (*PAPER_EXPLAINERS, *(MENDED[name] for name in PAPER_EXPLAINERS))
+
+
+@dataclass(frozen=True)
+class Study:
+    """Rows and columns are those of its figures, as in the paper."""
+
+    name: str
+    title: str
+    cells: tuple[Cell, ...]
+    columns: int
+    claims: tuple[Claim, ...]
+    beyond: tuple[Claim, ...] = ()
+
+
+# The finished policies are shown beside the paper's three moments of training.
+FINISHED = Cell(NAVIGATION, training_claims.N_AGENTS, percent=100)
+STUDIES = {
+    study.name: study
+    for study in (
+        Study(
+            "main",
+            "Three tasks, three team sizes",
+            main_claims.CELLS,
+            3,
+            MAIN_CLAIMS,
+            BEYOND_CLAIMS,
+        ),
+        Study(
+            "training",
+            "Along training: navigation, three agents",
+            (*training_claims.CELLS, FINISHED),
+            len(TRAINING) + 1,
+            TRAINING_CLAIMS,
+        ),
+        Study(
+            "zero-shot",
+            "Larger teams than in training: navigation",
+            zero_shot_claims.CELLS,
+            3,
+            ZERO_SHOT_CLAIMS,
+        ),
+    )
+}
+QUICK = Sampling(episodes=4, timesteps=4)
+
+
+def select_study_explainers(more: Sequence[str]) -> list[FoundExplainer]:
+    """Those of the ledgers, and more."""
+    return [find_explainer(name) for name in dict.fromkeys((*EXPLAINERS, *more))]
+
+
+def select_study_policies(study: Study, names: Sequence[str]) -> list[tuple[Policy, PolicyCard, Cell]]:
+    """Each policy with every cell of the study that it belongs to, cell by cell.
+
+    Raises InputError where none belongs to any.
+    """
+    policies = [(policy, card) for policy, card, _ in select_policies(names, [ALL], [ALL])]
+    chosen = [
+        (policy, card, cell)
+        for cell in study.cells
+        for policy, card in policies
+        if (card.task, card.n_agents, percent_of(card)) == (cell.task, cell.n_trained, cell.percent)
+    ]
+    if not chosen:
+        raise InputError(
+            f"none of {len(policies)} policies belongs to the study {study.name!r} "
+            f"({study.cells[0].label}, ...): choose others with --policy."
+        )
+    return chosen
+
+
+def plan(
+    study: Study,
+    names: Sequence[str],
+    explainers: Sequence[FoundExplainer],
+    sampling: Sampling,
+    behaviour: Sequence[str] = (),
+) -> list[Request]:
+    """One request per policy, cell and explainer; one cell per entry.
+
+    behaviour: explainers on whose masks the team also plays, or ALL. Raises InputError for a name that is
+    none of them.
+    """
+    known = [found.explainer.name for found in explainers]
+    for name in behaviour:
+        if name != ALL and name not in known:
+            raise unknown("explainer", name, [*known, ALL], "for those are what is scored")
+    return [
+        Request(
+            policy,
+            card,
+            found,
+            (TaskCell(cell.task, cell.n_trained + (cell.more or 0)),),
+            sampling,
+            sampling.episodes if ALL in behaviour or found.explainer.name in behaviour else 0,
+        )
+        for policy, card, cell in select_study_policies(study, names)
+        for found in explainers
+    ]

@@ -1,0 +1,195 @@
+"""results.json of a study: everything that its tables, figures' captions and the findings say.
+
+Derived from entries alone, without times or paths: the same entries give the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from xmarl_bench.board.gate import shut_gate
+from xmarl_bench.entry.schema import Entry
+from xmarl_bench.metrics.statistics import percentiles, resampled_means
+from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Claim, Term
+from xmarl_bench.papers.kailas2025.ledger import RESAMPLES, Judge, Judged, JudgedContrast, Verdict
+from xmarl_bench.papers.kailas2025.lenses import LENSES
+from xmarl_bench.papers.kailas2025.performance import performance
+from xmarl_bench.papers.kailas2025.plan import Study
+from xmarl_bench.papers.kailas2025.samples import Samples, percent_of
+from xmarl_bench.policy import PolicyCard
+from xmarl_bench.reproducible import derived_seed
+
+SCHEMA = 1
+# Of the tables; the others of ORIENTATION are the policy's own.
+QUALITY = (
+    "fid_delta", "gef", "fid_plus", "fid_minus", "comm_budgeted_fidelity", "budgeted_fidelity",
+    "comm_fid_delta", "comm_gef", "behavioural_fidelity", "mask_mass",
+)  # fmt: skip
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class StudyData:
+    """What a study has scored."""
+
+    study: Study
+    explainers: tuple[str, ...]
+    pairs: Sequence[tuple[PolicyCard, Entry]]
+    samples: Samples
+
+
+def results_of(data: StudyData) -> Json:
+    study, samples = data.study, data.samples
+    judge = Judge(samples)
+    protocol = data.pairs[0][1].protocol
+    return {
+        "schema": SCHEMA,
+        "study": study.name,
+        "title": study.title,
+        "protocol": {
+            "id": protocol.id,
+            "episodes": protocol.episodes,
+            "timesteps": protocol.timesteps,
+            "seeds": [protocol.seeds[0], protocol.seeds[-1]],
+        },
+        "explainers": _explainers(data),
+        "policies": _policies(data),
+        "missing": missing(data),
+        "quality": quality(data),
+        "performance": performance(samples, study.cells),
+        "ledger": [judged_record(judge.judge(claim)) for claim in study.claims],
+        "beyond": [judged_record(judge.judge(claim)) for claim in study.beyond],
+        "lenses": [
+            {"name": lens.name, "text": lens.text, "claims": _seen(judge, study.claims, lens.apply)}
+            for lens in LENSES
+        ],
+    }
+
+
+def quality(data: StudyData) -> list[Json]:
+    """Mean of a metric over policies, with its interval, by cell, with or without the term, and explainer."""
+    records = []
+    for cell in data.study.cells:
+        for regularised in (False, True):
+            for explainer in data.explainers:
+                runs = data.samples.runs(cell, Term(explainer), regularised)
+                for metric in QUALITY:
+                    blocks = [each.values[metric] for each in runs.values()]
+                    blocks = [x[~np.isnan(x)] for x in blocks]
+                    blocks = [x for x in blocks if x.size]
+                    if not blocks:
+                        continue
+                    interval = None
+                    if sum(x.size for x in blocks) > 1:
+                        seed = derived_seed("study", cell.label, regularised, explainer, metric)
+                        rng = np.random.default_rng(seed)
+                        interval = percentiles(resampled_means(blocks, rng, RESAMPLES))
+                    records.append(
+                        {
+                            "cell": cell.label,
+                            "regularised": regularised,
+                            "explainer": explainer,
+                            "metric": metric,
+                            "mean": float(np.mean([x.mean() for x in blocks])),
+                            "interval": interval,
+                            "n_policies": len(blocks),
+                        }
+                    )
+    return records
+
+
+def missing(data: StudyData) -> list[str]:
+    """Cells that no policy stands for."""
+    absent = []
+    for cell in data.study.cells:
+        for regularised in (False, True):
+            if not data.samples.runs(cell, Term(data.explainers[0]), regularised):
+                absent.append(f"{cell.label}, {'with' if regularised else 'without'} the term")
+    return absent
+
+
+def _explainers(data: StudyData) -> Json:
+    records = {entry.explainer.name: entry.explainer for _, entry in data.pairs}
+    return {
+        name: {
+            "distribution": record.distribution,
+            "version": record.version,
+            "hyperparameters": record.hyperparameters,
+        }
+        for name, record in sorted(records.items())
+    }
+
+
+def _policies(data: StudyData) -> list[Json]:
+    """In each cell; the gate says why the leaderboard would not rank it."""
+    known: dict[tuple[str, int], Json] = {}
+    for card, entry in data.pairs:
+        (cell,) = entry.results
+        shut = shut_gate(cell.metrics)
+        known[card.name, cell.n_agents - card.n_agents] = {
+            "name": card.name,
+            "weights_sha256": card.weights_sha256,
+            "task": card.task,
+            "n_trained": card.n_agents,
+            "n_tested": cell.n_agents,
+            "percent": percent_of(card),
+            "attention_entropy": card.attention_entropy,
+            "training_seed": card.training_seed,
+            "gate": None if shut is None else f"{shut.metric} under {shut.least:g}",
+        }
+    return [known[key] for key in sorted(known)]
+
+
+def _seen(judge: Judge, claims: Sequence[Claim], apply: Any) -> list[Json]:
+    seen = [apply(claim) for claim in claims]
+    return [judged_record(judge.judge(claim), cells=False) for claim in seen if claim is not None]
+
+
+def judged_record(judged: Judged, *, cells: bool = True) -> Json:
+    claim = judged.claim
+    record: Json = {
+        "id": claim.id,
+        "lines": claim.lines,
+        "section": claim.section,
+        "text": claim.text,
+        "quantifier": claim.quantifier.value,
+        "verdict": judged.verdict.value,
+        "counts": {verdict.value: judged.count(verdict) for verdict in Verdict},
+        "overall": [_contrast(each) for each in judged.overall],
+    }
+    if cells:
+        record["cells"] = [
+            {
+                "cell": each.cell.label,
+                "verdict": each.verdict.value,
+                "contrasts": [_contrast(contrast) for contrast in each.contrasts],
+            }
+            for each in judged.cells
+        ]
+    return record
+
+
+def _contrast(judged: JudgedContrast) -> Json:
+    contrast, compared = judged.contrast, judged.compared
+    return {
+        "metric": contrast.metric,
+        "higher_is_better": ORIENTATION[contrast.metric] > 0,
+        "relation": contrast.relation.value,
+        "margin": contrast.margin,
+        "compares": contrast.label,
+        "a_mean": compared.a,
+        "b_mean": compared.b,
+        "difference": compared.difference,
+        "interval": compared.interval,
+        "p": compared.p,
+        "p_adjusted": judged.p_adjusted,
+        "effect": compared.effect,
+        "n_policies": compared.n_policies,
+        "n_episodes": compared.n_episodes,
+        "n_nan": compared.n_nan,
+        "verdict": judged.verdict.value,
+    }

@@ -1,0 +1,187 @@
+"""Entries as numbers to compare: per cell, explainer and training run one value of a metric per episode.
+
+What sets training runs of a cell apart is architecture, weight lambda of the attention-entropy term and seed.
+A regularised run is compared with the run of the same architecture and seed without the term, episode by
+episode: scoring plays the same starts with every policy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xmarl_bench.entry.schema import Entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.controls import INVERTED
+from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Cell, Contrast, Side, Term
+from xmarl_bench.policy import PolicyCard
+from xmarl_bench.records.files import canonical_json
+
+Floats = NDArray[np.float64]
+Blocks = list[Floats]  # one array of episodes (E,) per training run
+
+
+@dataclass(frozen=True, order=True)
+class Run:
+    """A training run of a cell."""
+
+    architecture: str
+    attention_entropy: float
+    seed: int
+
+    @property
+    def unregularised(self) -> Run:
+        return Run(self.architecture, 0.0, self.seed)
+
+
+@dataclass(frozen=True)
+class Place:
+    """What was trained for how long and how many agents it is tested with."""
+
+    task: str
+    n_trained: int
+    more: int
+    percent: int | None
+
+    @classmethod
+    def of(cls, cell: Cell, term: Term) -> Place:
+        """Where a term is, in a cell; what the term sets goes first."""
+        more = cell.more if term.more is None else term.more
+        percent = cell.percent if term.percent is None else term.percent
+        return cls(cell.task, cell.n_trained, 0 if more is None else more, percent)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One (policy, explainer) pair in one cell."""
+
+    policy: str
+    values: dict[str, Floats]  # by metric, (E,), NaN where it is not a number or was not measured
+
+
+@dataclass
+class Samples:
+    """All that a study scored. Controls are filed like explainers, by one mean per policy."""
+
+    scored: dict[tuple[Place, str], dict[Run, Scored]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, pairs: Iterable[tuple[PolicyCard, Entry]]) -> Samples:
+        """Raises InputError as `check` does."""
+        pairs = list(pairs)
+        cls.check(card for card, _ in pairs)
+        samples = cls()
+        for card, entry in pairs:
+            samples._add(card, entry)
+        return samples
+
+    @staticmethod
+    def check(cards: Iterable[PolicyCard]) -> None:
+        """Raises InputError, before anything is scored, where two policies are the same run of a cell."""
+        known: dict[tuple[str, int, int | None, Run], str] = {}
+        for card in cards:
+            key = card.task, card.n_agents, percent_of(card), run_of(card)
+            if known.setdefault(key, card.name) != card.name:
+                raise InputError(
+                    f"{known[key]!r} and {card.name!r} are policies of one cell, architecture, lambda and "
+                    f"training seed: leave one of them out, naming the others with --policy."
+                )
+
+    def _add(self, card: PolicyCard, entry: Entry) -> None:
+        (cell,) = entry.results
+        place = Place(cell.task, card.n_agents, cell.n_agents - card.n_agents, percent_of(card))
+        run = run_of(card)
+        rows = {
+            name: np.array([_number(getattr(row, name)) for row in cell.episodes]) for name in ORIENTATION
+        }
+        known = self.scored.setdefault((place, entry.explainer.name), {})
+        assert run not in known, card.name
+        known[run] = Scored(card.name, rows)
+        for name, metrics in cell.controls.items():
+            if name == INVERTED:
+                continue
+            summaries = {metric: getattr(metrics, metric, None) for metric in ORIENTATION}
+            means = {
+                metric: np.array([np.nan if each is None else _number(each.value)])
+                for metric, each in summaries.items()
+            }
+            known = self.scored.setdefault((place, name), {})
+            known.setdefault(run, Scored(card.name, means))
+
+    def of_term(self, cell: Cell, term: Term) -> dict[Run, Scored]:
+        """The runs that a term means in a cell, with and without the attention-entropy term."""
+        return self.scored.get((Place.of(cell, term), term.explainer), {})
+
+    def runs(self, cell: Cell, term: Term, regularised: bool | None) -> dict[Run, Scored]:
+        """Those without the term, with it, or (None) all, in order of architecture, lambda and seed."""
+        every = self.of_term(cell, term)
+        chosen = (run for run in every if regularised is None or (run.attention_entropy > 0) == regularised)
+        return {run: every[run] for run in sorted(chosen)}
+
+    def blocks(self, cell: Cell, contrast: Contrast) -> tuple[Blocks, Blocks]:
+        """Values of both sides, run by run, in pairs of the same policy or of partners with and without term.
+
+        Where a side is a control, of which entries keep the mean alone, every policy is one value.
+        """
+        terms = [*contrast.a.terms, *contrast.b.terms]
+        regularised = {_regularised(cell, term) for term in terms}
+        partners = len(regularised) > 1
+        lead = next((term for term in terms if _regularised(cell, term)), terms[0])
+        found: tuple[Blocks, Blocks] = [], []
+        for run in self.runs(cell, lead, _regularised(cell, lead)):
+            values: dict[Term, Floats] = {}
+            for term in terms:
+                its_run = run.unregularised if partners and not _regularised(cell, term) else run
+                scored = self.of_term(cell, term).get(its_run)
+                if scored is not None:
+                    values[term] = scored.values[contrast.metric]
+            if len(values) < len(set(terms)):
+                continue  # one of them is missing
+            if len({each.size for each in values.values()}) > 1:
+                values = {term: np.array([_mean(each)]) for term, each in values.items()}
+            for side, block in zip((contrast.a, contrast.b), found, strict=True):
+                block.append(_side(side, values))
+        return found
+
+
+def pooled(runs: Mapping[Run, Scored], metric: str) -> Floats:
+    """The episodes of all runs, one after the other, without those where the metric is not a number."""
+    values = [each.values[metric] for each in runs.values()]
+    x: Floats = np.concatenate(values) if values else np.array([])
+    return x[~np.isnan(x)]
+
+
+def percent_of(card: PolicyCard) -> int | None:
+    """How much of its training a checkpoint has behind it; None for a finished policy."""
+    percent = card.training.get("percent")
+    return None if percent is None else int(percent)
+
+
+def run_of(card: PolicyCard) -> Run:
+    """Raises InputError for a policy whose training seed is not known."""
+    if card.training_seed is None:
+        raise InputError(f"policy {card.name!r} does not say its training seed: leave it out with --policy.")
+    architecture = hashlib.sha256(canonical_json(card.architecture.model_dump(mode="json"))).hexdigest()
+    return Run(architecture[:12], card.attention_entropy, card.training_seed)
+
+
+def _regularised(cell: Cell, term: Term) -> bool | None:
+    return cell.regularised if term.regularised is None else term.regularised
+
+
+def _side(side: Side, values: dict[Term, Floats]) -> Floats:
+    value = values[side.term]
+    return value if side.minus is None else value - values[side.minus]
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def _mean(values: Floats) -> float:
+    numbers = values[~np.isnan(values)]
+    return float(numbers.mean()) if numbers.size else float("nan")

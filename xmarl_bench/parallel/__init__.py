@@ -1,0 +1,1 @@
+"""One function over many units of work, in this process, in others or on a cluster."""

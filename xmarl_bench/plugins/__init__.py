@@ -1,0 +1,1 @@
+"""Policies and explainers of every installed package, by name."""

@@ -1,0 +1,48 @@
+"""Writes a small package that registers an explainer or a policy, and passes its own checks as it stands.
+
+What is written are the files of `xmarl_bench/templates/<kind>/`, with PACKAGE in their names.
+"""
+
+from __future__ import annotations
+
+import keyword
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+
+from xmarl_bench.entry.provenance import package_version
+from xmarl_bench.errors import InputError
+from xmarl_bench.plugins.registry import NAME
+from xmarl_bench.records.files import check_writable, write_atomically
+
+TEMPLATES = Path(__file__).with_name("templates")
+
+
+def write_package(kind: str, name: str, folder: Path) -> list[Path]:
+    """Write the package `name` into `folder`; returns its files.
+
+    Raises InputError for a name that Python or the registry cannot take or that is taken, and for a folder
+    with anything in it.
+    """
+    package = name.replace("-", "_").replace(".", "_")
+    if not NAME.match(name) or not package.isidentifier() or keyword.iskeyword(package):
+        raise InputError(
+            f"{name!r} names no package: start with a letter, then a-z, 0-9, - and _, such as my-{kind}."
+        )
+    if package in sys.stdlib_module_names or find_spec(package) is not None:
+        raise InputError(f"a module {package!r} is installed already: choose another name than {name!r}.")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder} is there already: choose another folder with --out, or remove it.")
+    check_writable(folder)
+    environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True)
+    context = {"name": name, "package": package, "harness": package_version("xmarl-bench") or "0.1.0"}
+    written = []
+    for template in sorted((TEMPLATES / kind).rglob("*.jinja")):
+        relative = str(template.relative_to(TEMPLATES / kind)).removesuffix(".jinja")
+        path = folder / relative.replace("PACKAGE", package)
+        text = environment.from_string(template.read_text(encoding="utf-8")).render(context)
+        write_atomically(path, text.encode())
+        written.append(path)
+    return written

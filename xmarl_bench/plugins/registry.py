@@ -1,0 +1,300 @@
+"""Finds policies and explainers by name, among those of every installed package.
+
+Explainers: entry points in group `xmarl_bench.explainers`, name -> an `Explainer` of the same name, or
+anything that `as_explainer` makes one of; and whatever `path/to/file.py:Name` or `module:Name` names.
+Policies: entry points in group `xmarl_bench.policies`, each -> a function without arguments that returns
+{policy name: folder of its bundle, or a function without arguments that returns a `PolicyModule`}. A plugin
+that fails to load raises, with its name.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from xmarl_envs import TASKS
+
+from xmarl_bench.entry.provenance import package_version
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.adapters import as_explainer, code_of
+from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.origin.references import Origin, is_reference, load_reference, origin_of
+from xmarl_bench.policy import Policy, PolicyCard, load_policy
+from xmarl_bench.policy.policy_module import PolicyModule
+from xmarl_bench.policy.untrusted import CARD
+
+EXPLAINERS, POLICIES = "xmarl_bench.explainers", "xmarl_bench.policies"
+NAME = re.compile(r"^[a-z0-9][a-z0-9._-]{0,99}$")  # safe in file names
+
+
+@dataclass(frozen=True)
+class FoundExplainer:
+    """An explainer and where it came from."""
+
+    explainer: Explainer
+    distribution: str | None
+    version: str | None
+    entry_point: str
+    code_sha256: str | None = None  # of the file, or of its own source where it was handed over
+
+
+@dataclass(frozen=True)
+class PolicyCode:
+    """A policy that an installed package makes by running its code."""
+
+    plugin: EntryPoint
+    factory: Callable[[], object]
+
+    def __str__(self) -> str:
+        return self.plugin.value
+
+    def open(self, name: str) -> tuple[Policy, PolicyCard]:
+        """Run the factory. Raises InputError where it gives no policy of that name."""
+        made = _made(self.factory, name)
+        if made.name != name:
+            raise InputError(
+                f"policy plugin {name!r} ({self}) calls itself {made.name!r}: use one name for both."
+            )
+        code = self.factory
+        where = (
+            f"{code.__module__}:{code.__qualname__}" if hasattr(code, "__qualname__") else self.plugin.value
+        )
+        return made.open(Origin(*_distribution(self.plugin), where, None))
+
+
+def as_found(thing: object) -> FoundExplainer:
+    """An explainer handed over as an object, or what `as_explainer` makes one of."""
+    explainer = as_explainer(thing)
+    return _found(explainer, origin_of(code_of(explainer)))
+
+
+def explainer_names() -> list[str]:
+    """Controls first, then plugins by name; nothing is loaded."""
+    return [*CONTROLS, *sorted(_explainer_plugins())]
+
+
+def find_explainer(name: str) -> FoundExplainer:
+    """Load one explainer, by its name, or by `path/to/file.py:Name` or `module:Name`, which runs that code.
+
+    Raises InputError for an unknown name, and for a plugin or a file that does not load.
+    """
+    if name in CONTROLS:
+        return FoundExplainer(
+            CONTROLS[name],
+            "xmarl-bench",
+            package_version("xmarl-bench"),
+            f"xmarl_bench.explain.controls:CONTROLS[{name!r}]",
+        )
+    if is_reference(name):
+        thing, origin = load_reference(name)
+        return _found(_explainer_of(thing, name), origin)
+    plugins = _explainer_plugins()
+    if name not in plugins:
+        raise unknown("explainer", name, explainer_names(), "or give path/to/file.py:Name or module:Name")
+    plugin = plugins[name]
+    loaded = _load(plugin)
+    explainer = _explainer_of(loaded, name, plugin)
+    if not isinstance(loaded, Explainer):  # it has no name of its own
+        explainer = replace(explainer, name=name)
+    if explainer.name != name:
+        raise InputError(
+            f"explainer plugin {name!r} ({plugin.value}) calls itself {explainer.name!r}: "
+            f"use one name for both."
+        )
+    return _found(explainer, Origin(*_distribution(plugin), plugin.value, None))
+
+
+def _explainer_of(thing: object, name: str, plugin: EntryPoint | None = None) -> Explainer:
+    try:
+        return as_explainer(thing)
+    except InputError as error:
+        what = f"explainer {name!r}" if plugin is None else f"explainer plugin {name!r} ({plugin.value})"
+        raise InputError(f"{what} cannot be taken: {error}") from None
+
+
+def _found(explainer: Explainer, origin: Origin) -> FoundExplainer:
+    """Raises InputError for a name that is not fit for files, or that of a control."""
+    name = explainer.name
+    if not NAME.match(name):
+        raise InputError(f"explainer name {name!r} cannot be part of a file name: use a-z, 0-9, . _ and -.")
+    if name in CONTROLS and explainer is not CONTROLS[name]:
+        raise InputError(f"explainer {name!r} ({origin.where}) has the name of a control: rename it.")
+    return FoundExplainer(explainer, origin.distribution, origin.version, origin.where, origin.sha256)
+
+
+def find_policies() -> dict[str, Path]:
+    """Every registered policy that is a bundle: name -> its folder, by name.
+
+    Raises InputError, as `find_code_policies` does, where a plugin does not load.
+    """
+    return {name: place for name, place in _all_registered().items() if isinstance(place, Path)}
+
+
+def find_code_policies() -> dict[str, PolicyCode]:
+    """Every registered policy that brings code of its own, by name; none of it has run yet."""
+    return {name: place for name, place in _all_registered().items() if isinstance(place, PolicyCode)}
+
+
+def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyCard]:
+    """A policy by its name, by the folder or zip of its bundle, or by `module:factory` of its code.
+
+    Raises InputError for whatever is not one, and for code without `trust_code`.
+    """
+    if _is_bundle(name):
+        return load_policy(Path(name))
+    if is_reference(name):
+        _check_trust(name, trust_code)
+        factory, origin = load_reference(name)
+        return _made(factory, name).open(origin)
+    place = _registered_policy(name)
+    if isinstance(place, Path):
+        return load_policy(place)
+    _check_trust(name, trust_code)
+    return place.open(name)
+
+
+def find_policy(name_or_bundle: str) -> Path:
+    """The bundle's folder or zip. Raises InputError for an unknown name and for a policy that is code."""
+    if _is_bundle(name_or_bundle):
+        return Path(name_or_bundle)
+    place = _registered_policy(name_or_bundle)
+    if isinstance(place, PolicyCode):
+        raise InputError(f"policy {name_or_bundle!r} is code ({place}) and has no bundle: choose another.")
+    return place
+
+
+def _is_bundle(name: str) -> bool:
+    """What holds a card is a bundle, and so is what looks like a path and names no code."""
+    path = Path(name)
+    looks_like_one = len(path.parts) > 1 or path.suffix == ".zip"
+    return (path / CARD).is_file() or (looks_like_one and not is_reference(name))
+
+
+def _registered_policy(name: str) -> Path | PolicyCode:
+    """A plugin that does not load may have registered any name, but stands in the way of no other."""
+    policies, failures = registered_policies()
+    if name in policies:
+        return policies[name]
+    if failures:
+        raise failures[0]
+    raise unknown("policy", name, policies, "or give the folder of a policy bundle")
+
+
+def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError]]:
+    """Every registered policy by name, and why the plugins that did not load did not.
+
+    Raises InputError where two policies have one name.
+    """
+    found: dict[str, Path | PolicyCode] = {}
+    failures: list[InputError] = []
+    for plugin in entry_points(group=POLICIES):
+        try:
+            places = _places(plugin)
+        except InputError as error:
+            failures.append(error)
+            continue
+        for name, place in places.items():
+            if name in found:
+                raise InputError(
+                    f"policy {name!r} is registered twice ({found[name]} and {place}): rename one."
+                )
+            found[name] = place
+    return dict(sorted(found.items())), failures
+
+
+def _all_registered() -> dict[str, Path | PolicyCode]:
+    policies, failures = registered_policies()
+    if failures:
+        raise failures[0]
+    return policies
+
+
+def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
+    listed = _load(plugin)
+    try:
+        return {
+            str(name): PolicyCode(plugin, place) if callable(place) else Path(place)
+            for name, place in listed().items()
+        }
+    except Exception as error:
+        raise _plugin_error(plugin, error) from error
+
+
+def _check_trust(name: str, trust_code: bool) -> None:
+    if not trust_code:
+        raise InputError(
+            f"policy {name!r} runs code of its own: read it, and add --trust-code (trust_code=True) if you "
+            f"trust it."
+        )
+
+
+def _made(factory: object, name: str) -> PolicyModule:
+    """What the factory returns. Raises InputError for an error inside it and for anything else."""
+    if not callable(factory):
+        raise InputError(
+            f"policy {name!r} is a {type(factory).__name__}: name a function that returns a PolicyModule."
+        )
+    try:
+        made = factory()
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"policy {name!r} could not be made ({type(error).__name__}: {error}): correct its factory."
+        ) from error
+    if not isinstance(made, PolicyModule):
+        raise InputError(
+            f"policy {name!r} is a {type(made).__name__}: let its factory return a PolicyModule."
+        )
+    return made
+
+
+def check_task(name: str) -> None:
+    if name not in TASKS:
+        raise unknown("task", name, TASKS)
+
+
+def unknown(kind: str, name: str, choices: Iterable[str], hint: str = "") -> InputError:
+    """The error for a name that is none of the choices, with the nearest one if there is one."""
+    listed = list(choices)
+    near = difflib.get_close_matches(name, listed, n=1)
+    guess = f" Did you mean {near[0]!r}?" if near else ""
+    others = f"choose one of {', '.join(listed)}" if listed else "none is installed"
+    return InputError(f"unknown {kind} {name!r}: {others}{', ' + hint if hint else ''}.{guess}")
+
+
+def _explainer_plugins() -> dict[str, EntryPoint]:
+    plugins: dict[str, EntryPoint] = {}
+    for plugin in entry_points(group=EXPLAINERS):
+        if plugin.name in CONTROLS or plugin.name in plugins:
+            other = plugins[plugin.name].value if plugin.name in plugins else "a control of xmarl-bench"
+            raise InputError(
+                f"explainer {plugin.name!r} ({plugin.value}) has the name of {other}: rename one."
+            )
+        plugins[plugin.name] = plugin
+    return plugins
+
+
+def _load(plugin: EntryPoint) -> Any:
+    try:
+        return plugin.load()
+    except Exception as error:
+        raise _plugin_error(plugin, error) from error
+
+
+def _plugin_error(plugin: EntryPoint, error: Exception) -> InputError:
+    name, _ = _distribution(plugin)
+    return InputError(
+        f"plugin {plugin.name!r} ({plugin.value}, of {name or 'an unknown distribution'}) failed to load "
+        f"({type(error).__name__}: {error}): correct or uninstall it."
+    )
+
+
+def _distribution(plugin: EntryPoint) -> tuple[str | None, str | None]:
+    return (plugin.dist.name, plugin.dist.version) if plugin.dist is not None else (None, None)

@@ -1,0 +1,90 @@
+"""Policies that bring code of their own: any torch module that passes messages along `edge_index`.
+
+Running them is running a stranger's program, so the command line takes them with `--trust-code` only, and
+their entries say so. What needs no code is better handed over as a bundle, see xmarl_bench.policy.bundle.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+
+from pydantic import ValidationError
+from safetensors.torch import save
+from torch import nn
+from xmarl_envs import TASKS
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.origin.references import Origin
+from xmarl_bench.policy.architecture import CodeArchitecture, DistributionKind
+from xmarl_bench.policy.bundle import PolicyCard
+from xmarl_bench.policy.graph import CompleteGraph, Graph
+from xmarl_bench.policy.module import ModulePolicy
+from xmarl_bench.records.strict_json import first_error
+
+
+@dataclass(frozen=True)
+class PolicyModule:
+    """A trained network, and what it was trained for: what a factory behind `module:factory` returns.
+
+    network: forward(x (n, D), edge_index (2, edges)) -> (n, 2A), for each agent the location of its action's
+        Normal and the scale before the biased softplus; (n, A) where `distribution` is "deterministic". The
+        rows are agents of one team or of many at once; they may meet in torch_geometric's message-passing
+        layers only, built with add_self_loops=False: every i -> i is among the edges already.
+    distribution: "tanh_normal", "normal" or "deterministic", see ActionDistribution.
+    graph: who can hear whom.
+    attention_entropy: weight of the attention-entropy term in training, 0 for none.
+    """
+
+    name: str
+    network: nn.Module
+    task: str
+    n_agents: int
+    distribution: DistributionKind = "tanh_normal"
+    graph: Graph = field(default_factory=CompleteGraph)
+    attention_entropy: float = 0.0
+    training_seed: int | None = None
+
+    def open(self, origin: Origin) -> tuple[ModulePolicy, PolicyCard]:
+        """The policy with its card, as `load_policy` returns them for a bundle.
+
+        Raises InputError for an unknown task, a network that cannot be masked (see ModulePolicy), and a name,
+        team or distribution that no card takes.
+        """
+        if self.task not in TASKS:
+            raise InputError(
+                f"policy {self.name!r} is for the unknown task {self.task!r}: name one of {', '.join(TASKS)}."
+            )
+        obs_dim, action_dim = len(TASKS[self.task].observation_names), 2
+        try:
+            card = PolicyCard(
+                name=self.name,
+                task=self.task,
+                n_agents=self.n_agents,
+                attention_entropy=self.attention_entropy,
+                training_seed=self.training_seed,
+                architecture=CodeArchitecture(
+                    obs_dim=obs_dim,
+                    action_dim=action_dim,
+                    entry_point=origin.where,
+                    package=origin.distribution,
+                    version=origin.version,
+                    code_sha256=origin.sha256,
+                    distribution=self.distribution,
+                    graph=self.graph,
+                ),
+                weights_sha256=_weights_sha256(self.network),
+            )
+        except ValidationError as error:
+            said, where = first_error(error)
+            raise InputError(f"policy {self.name!r} has no valid {where}: {said}.") from None
+        policy = ModulePolicy(
+            self.network, obs_dim, action_dim, distribution=self.distribution, graph=self.graph
+        )
+        return policy, card
+
+
+def _weights_sha256(network: nn.Module) -> str:
+    """Of what safetensors would hold; tensors that share memory are written twice."""
+    state = {name: tensor.detach().clone().contiguous() for name, tensor in network.state_dict().items()}
+    return hashlib.sha256(save(state)).hexdigest()

@@ -1,0 +1,1 @@
+"""Episodes recorded and drawn, with what an explainer says of them."""

@@ -1,0 +1,196 @@
+"""Pictures of a recorded episode in one file: an animated gif or avif, an mp4 video, or a sheet as png."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, features
+from rich.console import Console
+from xmarl_envs.canvas import HEADER, SIZE
+from xmarl_envs.render import FPS, Renderer
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.parallel.fan_out import in_order
+from xmarl_bench.records.files import check_writable, write_atomically
+from xmarl_bench.render.recording import Recording
+
+Picture = NDArray[np.uint8]
+
+GIF_FRAMES = 120  # at most; a longer episode shows every second, third, ... step
+GIF_BYTES = 2_000_000  # at most; a busier episode loses frames until it fits
+GIF_COLOURS = 96
+SMALL_FRAMES, SMALL_WIDTH = 24, 320  # of an avif: a fraction of a gif's bytes, for a page of many
+SMALL_PAUSE = 250  # ms, at most from frame to frame
+LAST_FRAME = 1500  # ms, for the end to be seen
+SHEET_PANELS, SHEET_COLUMNS = 6, 3
+PANEL_WIDTH = 480  # pixels
+
+
+@dataclass(frozen=True)
+class Written:
+    """What is in a file."""
+
+    frames: int
+    n_bytes: int
+
+
+def check_target(path: Path) -> None:
+    """Raises InputError, before any work, where no animation could be written to `path`."""
+    if path.suffix not in _FORMATS:
+        raise InputError(f"cannot make {path}: let its name end in one of {', '.join(_FORMATS)}.")
+    if path.is_dir():
+        raise InputError(f"cannot write to {path}, which is a folder: give the name of a file.")
+    if path.suffix == ".avif" and not features.check("avif"):
+        raise InputError(f"cannot make {path} with this Pillow: install 11.3 or newer, or make a .gif.")
+    if path.suffix == ".mp4" and find_spec("imageio_ffmpeg") is None:
+        raise InputError(
+            f"cannot make {path} without imageio-ffmpeg: pip install 'xmarl-bench[video]', or make a .gif."
+        )
+    check_writable(path.parent)
+
+
+def write_animation(
+    recording: Recording, path: Path, explainer: Explainer | None = None, *, progress: bool = False
+) -> Written:
+    """Draw the episode, with the explanation over it if there is an explainer, into one file.
+
+    The ending of `path` says what it becomes: `.gif` or `.mp4`, both at twice real time, `.avif`, small and
+    few frames, or `.png`, six moments side by side. The picture after the last step has no explanation:
+    nobody acted on it. Raises InputError as `check_target` and `Recording.explain` do.
+    """
+    check_target(path)
+    choose, encode = _FORMATS[path.suffix]
+    cycles = choose(recording.track.cycles)
+    masks = _explain(recording, explainer, cycles, progress)
+    renderer = Renderer(recording.task, reach=_reach(recording))
+    title = ", ".join([recording.task.name, recording.team, *([explainer.name] if explainer else [])])
+
+    def draw(cycle: int) -> Picture:
+        picture = renderer.draw(recording.track.scene(cycle), masks.get(cycle), title)
+        assert picture is not None  # it goes to no window
+        return picture
+
+    frames, data = encode(in_order(draw, cycles, progress="draw" if progress else None), cycles)
+    write_atomically(path, data)
+    return Written(frames, len(data))
+
+
+def _all(last: int) -> list[int]:
+    return list(range(last + 1))
+
+
+def _regular(last: int) -> list[int]:
+    """At most GIF_FRAMES, as many steps apart each, and the last."""
+    return sorted({*range(0, last, -(-last // (GIF_FRAMES - 1))), last})
+
+
+def _few(last: int) -> list[int]:
+    """At most SMALL_FRAMES, the first and the last among them."""
+    return sorted({round(k * last / (SMALL_FRAMES - 1)) for k in range(SMALL_FRAMES)})
+
+
+def _moments(last: int) -> list[int]:
+    """At most SHEET_PANELS, the first and the last among them."""
+    return sorted({round(k * last / (SHEET_PANELS - 1)) for k in range(SHEET_PANELS)})
+
+
+def _explain(
+    recording: Recording, explainer: Explainer | None, cycles: Sequence[int], progress: bool
+) -> dict[int, NDArray[np.float32]]:
+    if explainer is None:
+        return {}
+    explained = [cycle for cycle in cycles if cycle < recording.track.cycles]
+    console = Console(stderr=True, quiet=not progress)
+    with console.status(f"{explainer.name} explains {len(explained)} steps"):
+        return dict(zip(explained, recording.explain(explainer, explained), strict=True))
+
+
+def _reach(recording: Recording) -> float:
+    """One scale for all pictures, the last one's."""
+    return float(np.abs(recording.track.scene().track).max()) + recording.task.radius
+
+
+def _gif(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
+    """Frames and bytes. All frames share one palette, else what stands still would change its colours."""
+    pictures = list(drawn)
+    some = np.concatenate([pictures[k] for k in _moments(len(pictures) - 1)])
+    palette = Image.fromarray(some).quantize(GIF_COLOURS)
+    frames = [
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
+    ]
+    every = 1
+    while True:
+        chosen = sorted({*range(0, len(frames), every), len(frames) - 1})
+        data = _encode_gif([frames[k] for k in chosen], [cycles[k] for k in chosen])
+        if len(data) <= GIF_BYTES or len(chosen) <= 2:
+            return len(chosen), data
+        every += 1
+
+
+def _encode_gif(frames: Sequence[Image.Image], cycles: Sequence[int]) -> bytes:
+    shown = [round(1000 / FPS) * int(steps) for steps in np.diff(cycles)] + [LAST_FRAME]
+    file = io.BytesIO()
+    frames[0].save(
+        file, "GIF", save_all=True, append_images=frames[1:], duration=shown, loop=0, optimize=False
+    )
+    return file.getvalue()
+
+
+def _avif(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
+    frames = [_shrunk(picture, SMALL_WIDTH) for picture in drawn]
+    pauses = [min(SMALL_PAUSE, round(1000 / FPS) * int(steps)) for steps in np.diff(cycles)] + [LAST_FRAME]
+    file = io.BytesIO()
+    frames[0].save(
+        file, "AVIF", save_all=True, append_images=frames[1:], duration=pauses, quality=35, speed=6,
+        max_threads=1,
+    )  # fmt: skip
+    return len(frames), file.getvalue()
+
+
+def _shrunk(picture: Picture, width: int) -> Image.Image:
+    height = round(width * picture.shape[0] / picture.shape[1])
+    return Image.fromarray(picture).resize((width, height), Image.Resampling.LANCZOS)
+
+
+def _mp4(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
+    import imageio_ffmpeg
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "episode.mp4"
+        writer = imageio_ffmpeg.write_frames(
+            path, (SIZE, HEADER + SIZE), fps=FPS, codec="libx264", quality=7, ffmpeg_log_level="error"
+        )
+        writer.send(None)
+        try:
+            for picture in drawn:
+                writer.send(picture)
+            for _ in range(round(LAST_FRAME / 1000 * FPS)):
+                writer.send(picture)
+        finally:
+            writer.close()
+        return len(cycles), path.read_bytes()
+
+
+def _png(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
+    panels = [_shrunk(picture, PANEL_WIDTH) for picture in drawn]
+    width, height = panels[0].size
+    n_columns = min(SHEET_COLUMNS, len(panels))
+    sheet = Image.new("RGB", (n_columns * width, -(-len(panels) // n_columns) * height), "white")
+    for k, panel in enumerate(panels):
+        sheet.paste(panel, (k % n_columns * width, k // n_columns * height))
+    file = io.BytesIO()
+    sheet.save(file, "PNG", optimize=True)
+    return len(panels), file.getvalue()
+
+
+_FORMATS: dict[
+    str, tuple[Callable[[int], list[int]], Callable[[Iterator[Picture], Sequence[int]], tuple[int, bytes]]]
+] = {".gif": (_regular, _gif), ".avif": (_few, _avif), ".mp4": (_all, _mp4), ".png": (_moments, _png)}

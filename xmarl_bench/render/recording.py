@@ -1,0 +1,113 @@
+"""One episode, recorded to be drawn: as scoring plays it, and explained as scoring explains it."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from xmarl_envs import State, Task, VectorEnv
+from xmarl_envs.heuristics import heuristic
+from xmarl_envs.scene import Track
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.explainer import Explainer, run_explainer
+from xmarl_bench.explain.fitting import fitted
+from xmarl_bench.policy import Policy
+from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
+from xmarl_bench.rollout.episodes import act
+
+Actions = NDArray[np.float32]
+
+TEAMS = HEURISTIC, RANDOM = ("heuristic", "random")  # those that need no policy
+
+
+@dataclass(frozen=True)
+class Recording:
+    """An episode of T steps and N agents."""
+
+    task: Task
+    team: str  # the policy's name, HEURISTIC or RANDOM
+    policy: Policy | None
+    run_seed: int  # the seed of the run that plays this episode
+    seed: int  # of the episode
+    track: Track
+    observations: Actions  # (T, N, D), before each action
+    success_rate: float  # fraction of agents at their goals when it ended; discovery: 1 if found
+
+    def explain(self, explainer: Explainer, cycles: Sequence[int]) -> NDArray[np.float32]:
+        """(S, N, N): masks of the chosen steps; if all steps are chosen, those that are scored.
+
+        Raises InputError where no policy acted, or for what goes wrong in the explainer.
+        """
+        if self.policy is None:
+            raise InputError(
+                f"explainer {explainer.name!r} explains policies, and the team is {self.team!r}: "
+                f"choose a policy, or leave the explainer out."
+            )
+        explainer = fitted(explainer, self.policy, self.task.name, self.task.n_agents, self.run_seed)
+        seed = derived_seed("explainer", self.run_seed, explainer.name, self.seed)
+        with one_thread():
+            observations = torch.tensor(self.observations[np.asarray(cycles)])
+            return np.asarray(run_explainer(explainer, self.policy, observations, seed).numpy())
+
+
+def record(
+    task: Task,
+    team: str,
+    policy: Policy | None = None,
+    *,
+    seed: int = 0,
+    episode: int = 0,
+    max_cycles: int | None = None,
+) -> Recording:
+    """Play the episode of that number among those that a run with this seed scores.
+
+    team: the policy's name; without a policy HEURISTIC or RANDOM. Raises InputError for a seed or an episode
+    that no run has, and for a team that is neither a policy nor one of these.
+    """
+    if episode < 0:
+        raise InputError(f"episode must be 0 or more, got {episode}: give the number of an episode.")
+    if max_cycles is not None and max_cycles < 1:
+        raise InputError(
+            f"max_cycles must be at least 1, got {max_cycles}: choose a larger one, or leave it out."
+        )
+    environment_seed = episode_seeds(seed, episode + 1)[episode]
+    policy = copy.deepcopy(policy)  # memory as torch lays it out, as in a rollout
+    choose = _choose(task, team, policy, environment_seed)
+    env = VectorEnv(task, 1, max_cycles)
+    observation = env.reset([environment_seed])[0]
+    track, observations = Track(env.state), []
+    with one_thread():
+        while True:
+            observations.append(observation)
+            step = env.step(choose(env.state, observation)[None])
+            track.add(env.state, step)
+            observation = step.observation[0]
+            if step.terminated[0] or step.truncated[0]:
+                break
+    return Recording(
+        task=task,
+        team=team,
+        policy=policy,
+        run_seed=seed,
+        seed=environment_seed,
+        track=track,
+        observations=np.stack(observations),
+        success_rate=float(step.success[0].mean()),
+    )
+
+
+def _choose(task: Task, team: str, policy: Policy | None, seed: int) -> Callable[[State, Actions], Actions]:
+    """(state, observations (N, D)) -> actions (N, 2)."""
+    if policy is not None:
+        return lambda _, observation: act(policy, observation)
+    if team == HEURISTIC:
+        return lambda state, _: heuristic(task, state)[0].astype(np.float32)
+    if team == RANDOM:
+        rng = np.random.default_rng([seed, 1])
+        return lambda *_: rng.uniform(-1, 1, (task.n_agents, 2)).astype(np.float32)
+    raise InputError(f"team {team!r} has no policy: give one, or choose {HEURISTIC!r} or {RANDOM!r}.")

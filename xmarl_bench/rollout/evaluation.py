@@ -1,0 +1,100 @@
+"""How well policies do their task, with messages between agents and without: no explainer involved."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from xmarl_envs import TASKS
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.metrics import attention_entropy
+from xmarl_bench.parallel.fan_out import in_order
+from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
+from xmarl_bench.policy import Policy
+from xmarl_bench.reproducible import one_thread
+from xmarl_bench.rollout.episodes import Episode, Rollout, check_parallel, mean_metrics
+from xmarl_bench.score.pieces import BLOCK
+from xmarl_bench.score.request import Cell, Sampling
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Means over episodes of the task metrics; None where the task has no such thing."""
+
+    task: str
+    n_agents: int
+    episodes: int
+    seed: int
+    max_cycles: int
+    with_messages: dict[str, float | None]
+    without_messages: dict[str, float | None]  # F(identity): every agent hears itself only
+    # nats, over the episodes with messages; log N is attention to all alike, None that nothing attends
+    attention_entropy: float | None
+
+    def record(self) -> dict[str, Any]:
+        """As a policy card holds it, under `performance`."""
+        return asdict(self)
+
+
+def evaluate_policy(
+    policy: Policy, task: str, n_agents: int, *, episodes: int = 50, seed: int = 0
+) -> dict[str, Any]:
+    """One policy's `Performance` as its card records it."""
+    return evaluate([(policy, Cell(task, n_agents))], Sampling(episodes=episodes, seed=seed))[0].record()
+
+
+def evaluate(
+    policies: Sequence[tuple[Policy, Cell]],
+    sampling: Sampling,
+    *,
+    workers: Workers = ONE_PROCESS,
+    parallel_episodes: int = 50,
+    progress: bool = False,
+) -> list[Performance]:
+    """Roll out each policy on the sampling's episodes twice: as it is, and with all messages removed.
+
+    The same episodes as scoring plays with the same seed. `sampling.timesteps` has no meaning here.
+    """
+    check_parallel(parallel_episodes)
+    seeds, max_cycles = tuple(sampling.seeds), sampling.max_cycles
+    width = min(parallel_episodes, BLOCK)
+    units = [
+        Rollout(policy, cell.task, cell.n_agents, seeds[first : first + width], max_cycles, messages=messages)
+        for policy, cell in policies
+        for messages in (True, False)
+        for first in range(0, len(seeds), width)
+    ]
+    played = in_order(Rollout.play, units, workers=workers, progress="evaluate" if progress else None)
+    every = iter([episode for part in played for episode in part])
+    episodes = [[next(every) for _ in seeds] for _ in range(2 * len(policies))]
+    performances = []
+    for (policy, cell), heard, unheard in zip(policies, episodes[::2], episodes[1::2], strict=True):
+        performances.append(
+            Performance(
+                task=cell.task,
+                n_agents=cell.n_agents,
+                episodes=sampling.episodes,
+                seed=sampling.seed,
+                max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
+                with_messages=mean_metrics(cell.task, heard),
+                without_messages=mean_metrics(cell.task, unheard),
+                attention_entropy=_attention_entropy(policy, heard),
+            )
+        )
+    return performances
+
+
+def _attention_entropy(policy: Policy, episodes: Sequence[Episode]) -> float | None:
+    """Mean over timesteps within an episode, then over episodes."""
+    policy = copy.deepcopy(policy)
+    with one_thread(), torch.inference_mode():
+        try:
+            attention = [policy.attention(torch.tensor(episode.observations)) for episode in episodes]
+        except InputError:
+            return None
+    return float(np.mean([attention_entropy(alpha.numpy()).mean() for alpha in attention]))

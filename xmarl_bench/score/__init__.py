@@ -1,0 +1,1 @@
+"""From requests to entries: pieces of work, what they measure, and the cache of their results."""

@@ -1,0 +1,139 @@
+"""Behavioural fidelity: is the explanation enough to do the job, and is the job impossible without it?
+
+The team is rolled out twice from each episode's start: communicating only along the k highest messages of
+each row of the explanation, and only along the others. The explainer is asked at every step, on the state
+that its own team has come to. Success and reward are compared with those of the full team's episode. Every
+agent keeps its own edge, and k is half of the N - 1 others, so that both teams lose about as much.
+
+Explainers are fast on many states at once, and matrix products round by the size of their batch: BLOCK
+consecutive episodes of a run are always explained and acted together, the last block filled up. So results
+depend on (policy, explainer, seed, episode), and on no number of processes.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from xmarl_envs import make_task
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.explainer import Explainer, run_explainer
+from xmarl_bench.metrics import mask_of_senders, other_senders, top_k_rows
+from xmarl_bench.policy import Policy, existing_edges
+from xmarl_bench.reproducible import derived_seed, one_thread
+from xmarl_bench.rollout.episodes import Episode, play
+from xmarl_bench.score.states import Values, number
+
+BLOCK = 50  # episodes: those of the protocol, in one go
+SMALLEST_TEAM = 3  # with fewer there are no two messages to choose between
+
+
+def why_no_behaviour(n_agents: int) -> str | None:
+    """Why a team cannot be played so; None where it can."""
+    if n_agents < SMALLEST_TEAM:
+        return f"needs {SMALLEST_TEAM} agents, so that there are messages to choose between, got {n_agents}"
+    return None
+
+
+def kept_messages(n_agents: int) -> int:
+    """k: half of the others, rounded down."""
+    return (n_agents - 1) // 2
+
+
+@dataclass(frozen=True)
+class Played:
+    values: list[Values]  # of `BehaviourRow`, by episode
+    seconds: float
+
+
+@dataclass(frozen=True)
+class BehaviourBlock:
+    """At most BLOCK episodes to play with both teams: what is handed to a worker."""
+
+    policy: Policy
+    explainer: Explainer | None  # None: messages chosen at random, the floor
+    task: str
+    n_agents: int
+    seeds: tuple[int, ...]  # of the episodes
+    seed: int  # of the run
+    max_cycles: int | None
+
+    def run(self) -> Played | InputError:
+        """The error, returned and not raised, names the explainer whose mask is not one."""
+        n, started = len(self.seeds), time.perf_counter()
+        try:
+            with one_thread():
+                episodes = play(
+                    make_task(self.task, self.n_agents),
+                    _BlockAct(self),
+                    self.seeds + self.seeds,
+                    parallel_episodes=2 * n,
+                    max_cycles=self.max_cycles,
+                )
+        except InputError as error:
+            return error
+        teams = [_values(*pair) for pair in zip(episodes[:n], episodes[n:], strict=True)]
+        return Played(teams, time.perf_counter() - started)
+
+
+class _BlockAct:
+    """Explains and acts for the 2 n teams of a block: n that keep the explanation, n that keep the rest."""
+
+    def __init__(self, block: BehaviourBlock) -> None:
+        self.block = block
+        self.policy = copy.deepcopy(block.policy).eval()  # memory as torch lays it out, also after a pickle
+        self.n_steps = 0
+
+    def __call__(self, observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[np.float32]:
+        """(2 n, N, D) -> (2 n, N, A)."""
+        block, n = self.block, len(self.block.seeds)
+        parts = block.seed, block.seeds[0], self.n_steps
+        self.n_steps += 1
+        # Always 2 * BLOCK teams, whoever is still playing: the first one fills what is missing.
+        filled = observation[[*range(n), *[0] * (BLOCK - n), *range(n, 2 * n), *[n] * (BLOCK - n)]]
+        x = torch.tensor(filled)
+        noise = np.random.default_rng(derived_seed("behaviour ties", *parts)).random(
+            (*x.shape[:2], x.shape[1])
+        )
+        mask = np.zeros_like(noise)  # nothing but ties
+        if block.explainer is not None:
+            seed = derived_seed("behaviour", block.explainer.name, *parts)
+            mask = run_explainer(block.explainer, self.policy, x, seed).double().numpy()
+        edges = existing_edges(self.policy, x)
+        top = top_messages(mask, noise, kept_messages(block.n_agents), edges)
+        own = torch.eye(block.n_agents)
+        top[BLOCK:] = 1.0 - top[BLOCK:]
+        with torch.inference_mode():
+            action = self.policy.distribution(x, torch.maximum(top, own)).action.numpy()
+        return np.concatenate([action[:n], action[BLOCK : BLOCK + n]])
+
+
+def _values(kept: Episode, dropped: Episode) -> Values:
+    return {
+        "success_on_explanation": number(kept.success_rate),
+        "success_on_complement": number(dropped.success_rate),
+        "reward_on_explanation": number(kept.reward),
+        "reward_on_complement": number(dropped.reward),
+        "no_agent_collision_on_explanation": number(kept.no_agent_collision),
+        "no_agent_collision_on_complement": number(dropped.no_agent_collision),
+        "behavioural_fidelity": number(kept.success_rate - dropped.success_rate),
+    }
+
+
+def top_messages(
+    mask: NDArray[np.floating], noise: NDArray[np.float64], k: int, edges: NDArray[np.bool_] | None = None
+) -> Tensor:
+    """(S, N, N) mask, noise against ties -> (S, N, N) of zeros and ones: the k highest others of each row.
+
+    edges: (S, N, N), which ones the graph has; a receiver with fewer than k others keeps all of them.
+    """
+    others = None if edges is None else other_senders(edges)
+    rows = top_k_rows(other_senders(mask), other_senders(noise), others)[k - 1]
+    return torch.from_numpy(mask_of_senders(rows, ~np.eye(mask.shape[-1], dtype=bool)))

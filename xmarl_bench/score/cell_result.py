@@ -1,0 +1,146 @@
+"""Puts a cell's results together from the work that is done: rows, their means, and the controls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import torch
+from xmarl_envs import TASKS
+
+from xmarl_bench.entry.aggregation import BEHAVIOUR, SANITY, cell_metrics, control_metrics
+from xmarl_bench.entry.schema import CellResult, ControlMetrics, Cost, EpisodeRow
+from xmarl_bench.explain.controls import INVERTED, RANDOM
+from xmarl_bench.rollout.episodes import Episode, mean_metrics
+from xmarl_bench.score.behaviour import Played
+from xmarl_bench.score.finished import Finished
+from xmarl_bench.score.measure import Explained, Shared
+from xmarl_bench.score.not_measured import not_measured
+from xmarl_bench.score.pieces import Needs
+from xmarl_bench.score.request import Cell, Request
+from xmarl_bench.score.states import Values, number
+
+# Cells whose controls are kept for the next entry: explainers of a policy come one after the other.
+KEPT = 4
+
+
+@dataclass
+class Controls:
+    """Means of the controls, which all explainers of the same states share; the last few."""
+
+    known: dict[tuple[str, ...], dict[str, ControlMetrics]] = field(default_factory=dict)
+
+    def of(
+        self,
+        request: Request,
+        cell: Cell,
+        needed: Needs,
+        shared: Sequence[Shared],
+        random_behaviour: Sequence[Values],
+        reasons: Mapping[str, str],
+    ) -> dict[str, ControlMetrics]:
+        """All but the inverted mask, which is the explainer's own."""
+        key = tuple(piece.key for piece in (*needed.shared, *needed.random_behaviour))
+        if key not in self.known:
+            rows: dict[str, list[Values]] = {
+                name: [each.controls[name] for each in shared] for name in shared[0].controls
+            }
+            n_played = request.behaviours(cell)
+            if n_played:
+                rows[RANDOM] = [
+                    {**row, **more} for row, more in zip(rows[RANDOM], random_behaviour, strict=True)
+                ]
+            self.known[key] = {
+                name: control_metrics(each, request.sampling.seed, reasons, n_played)
+                for name, each in rows.items()
+            }
+            if len(self.known) > KEPT:
+                self.known.pop(next(iter(self.known)))
+        return self.known[key]
+
+
+def cell_result(
+    request: Request, cell: Cell, needed: Needs, finished: Finished, controls: Controls
+) -> tuple[CellResult, Cost]:
+    """Of pieces that are all there. The cost is of this cell alone."""
+    sampling = request.sampling
+    episodes = [each for piece in needed.episodes for each in finished.episodes(piece)]
+    shared = [each for piece in needed.shared for each in finished.shared(piece)]
+    explained = [each for piece in needed.explained for each in finished.explained(piece)]
+    played = [finished.played(piece) for piece in needed.behaviour]
+    reasons = not_measured(request, cell, torch.tensor(episodes[0].observations[:1]))
+    rows = tuple(
+        episode_row(cell, *parts)
+        for parts in zip(episodes, shared, explained, _behaviours(played, len(episodes)), strict=True)
+    )
+    by_chance = _behaviours([finished.played(piece) for piece in needed.random_behaviour], len(episodes))
+    inverted = control_metrics([each.inverted for each in explained], sampling.seed, reasons, 0)
+    n_played = request.behaviours(cell)
+    result = CellResult(
+        task=cell.task,
+        n_agents=cell.n_agents,
+        max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
+        metrics=cell_metrics(rows, sampling.seed, reasons, n_played),
+        not_measured=reasons,
+        controls={**controls.of(request, cell, needed, shared, by_chance, reasons), INVERTED: inverted},
+        behaviour_episodes=n_played,
+        episodes=rows,
+    )
+    return result, _cost(shared, explained, played)
+
+
+def total_cost(costs: Sequence[Cost]) -> Cost:
+    """Of all cells of an entry."""
+    n = sum(each.explained_timesteps for each in costs)
+    return Cost(
+        explain_seconds_per_timestep=sum(
+            each.explain_seconds_per_timestep * each.explained_timesteps for each in costs
+        )
+        / n,
+        explained_timesteps=n,
+        shared_seconds_per_timestep=sum(
+            each.shared_seconds_per_timestep * each.explained_timesteps for each in costs
+        )
+        / n,
+        behaviour_seconds=sum(each.behaviour_seconds for each in costs),
+    )
+
+
+def _cost(shared: Sequence[Shared], explained: Sequence[Explained], played: Sequence[Played]) -> Cost:
+    timesteps = sum(each.timesteps for each in shared)
+    return Cost(
+        explain_seconds_per_timestep=sum(each.seconds for each in explained) / timesteps,
+        explained_timesteps=timesteps,
+        shared_seconds_per_timestep=sum(each.seconds for each in shared) / timesteps,
+        behaviour_seconds=sum(each.seconds for each in played),
+    )
+
+
+def _behaviours(played: Sequence[Played], episodes: int) -> list[Values]:
+    """Of `BehaviourRow`, for each episode; nulls for those that were not played so."""
+    values = [each for block in played for each in block.values]
+    return values + [dict.fromkeys(BEHAVIOUR)] * (episodes - len(values))
+
+
+def episode_row(
+    cell: Cell, episode: Episode, shared: Shared, explained: Explained, behaviour: Values
+) -> EpisodeRow:
+    """What an entry keeps of one episode. behaviour: of `BehaviourRow`, null where it was not played so."""
+    return EpisodeRow.model_validate(
+        {
+            "seed": episode.seed,
+            "length": len(episode.observations),
+            "timesteps": shared.timesteps,
+            **dict.fromkeys(SANITY),
+            **explained.values,
+            **explained.budgets,
+            **behaviour,
+            **shared.policy,
+            **_task_values(cell, episode),
+        }
+    )
+
+
+def _task_values(cell: Cell, episode: Episode) -> Values:
+    means = mean_metrics(cell.task, [episode])
+    return {name: None if value is None else number(value) for name, value in means.items()}

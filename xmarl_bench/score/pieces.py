@@ -1,0 +1,161 @@
+"""The work that requests ask for, cut into pieces: what each is, and the name of its result in a store.
+
+A piece is a block of consecutive episodes of a policy: played; measured without any explainer (`shared`);
+explained by one explainer; or acted out on an explainer's masks (`behaviour`). Requests that need the same
+piece share it, in one run and between runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+from xmarl_bench.entry.schema import SCHEMA_VERSION
+from xmarl_bench.policy import Policy
+from xmarl_bench.score.behaviour import BLOCK as BEHAVIOUR_BLOCK
+from xmarl_bench.score.content_key import content_key, explainer_key, policy_key
+from xmarl_bench.score.request import Cell, Request
+
+BLOCK = 10  # episodes: what a run that is killed has to do again, per worker
+Kind = Literal["episodes", "shared", "explained", "behaviour"]
+
+
+@dataclass(frozen=True)
+class World:
+    """What an episode depends on beside its number; all explainers of a policy share its episodes."""
+
+    policy: Policy = field(compare=False)
+    name: str = field(compare=False)  # of the policy, for people
+    policy_key: str
+    cell: Cell
+    seed: int
+    max_cycles: int | None
+
+    @classmethod
+    def of(cls, request: Request, cell: Cell) -> World:
+        card, sampling = request.card, request.sampling
+        return cls(request.policy, card.name, policy_key(card), cell, sampling.seed, sampling.max_cycles)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive episodes of a world."""
+
+    world: World
+    first: int  # number of the first in its run
+    seeds: tuple[int, ...]  # of the environment
+
+    def key(self) -> list[str | int | list[int] | None]:
+        world, seeds = self.world, list(self.seeds)
+        where = world.policy_key, world.cell.task, world.cell.n_agents
+        return [*where, world.seed, world.max_cycles, self.first, seeds]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A block's work of one kind. `key` names its result."""
+
+    kind: Kind
+    block: Block
+    timesteps: int | None  # at most so many of each episode; None is all
+    explainer: str | None  # its name; None where none has a part in it
+    key: str
+    source: Piece | None = None  # the episodes whose states are explained
+
+    def __str__(self) -> str:
+        block, last = self.block, self.block.first + len(self.block.seeds) - 1
+        what = self.kind if self.explainer is None else f"{self.kind} by {self.explainer}"
+        return f"{block.world.name}, {what}, episodes {block.first}-{last}"
+
+
+@dataclass(frozen=True)
+class Needs:
+    """The pieces that a request's entry is made of, in the order of its episodes, for one cell."""
+
+    world: World
+    episodes: tuple[Piece, ...]
+    shared: tuple[Piece, ...]
+    explained: tuple[Piece, ...]
+    behaviour: tuple[Piece, ...]  # none where it is not asked for
+    random_behaviour: tuple[Piece, ...]  # of messages chosen at random: the floor
+
+    def __iter__(self) -> Iterator[Piece]:
+        yield from self.episodes
+        yield from self.shared
+        yield from self.explained
+        yield from self.behaviour
+        yield from self.random_behaviour
+
+
+def needs(request: Request, cell: Cell) -> Needs:
+    world, sampling, n_played = World.of(request, cell), request.sampling, request.behaviours(cell)
+    name, its_key = request.explainer.explainer.name, explainer_key(request.explainer)
+    episodes = tuple(
+        Piece("episodes", block, None, None, content_key("episodes", *block.key()))
+        for block in blocks(world, sampling.seeds, BLOCK)
+    )
+    acted = tuple(blocks(world, sampling.seeds[:n_played], BEHAVIOUR_BLOCK))
+
+    def explained(kind: Kind, by: str | None, *keys: str) -> tuple[Piece, ...]:
+        t = sampling.timesteps
+        return tuple(
+            Piece(kind, played.block, t, by, content_key(kind, *played.block.key(), t, *keys), played)
+            for played in episodes
+        )
+
+    def behaviour(by: str | None, *keys: str) -> tuple[Piece, ...]:
+        return tuple(
+            Piece("behaviour", block, None, by, content_key("behaviour", *block.key(), *keys))
+            for block in acted
+        )
+
+    return Needs(
+        world,
+        episodes,
+        explained("shared", None),
+        explained("explained", name, its_key),
+        behaviour(name, its_key),
+        behaviour(None),
+    )
+
+
+def blocks(world: World, seeds: list[int], size: int) -> Iterator[Block]:
+    for first in range(0, len(seeds), size):
+        yield Block(world, first, tuple(seeds[first : first + size]))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A request, the pieces that it needs cell by cell, and the name of its entry in a store."""
+
+    request: Request
+    needs: tuple[Needs, ...]
+    key: str
+
+    @classmethod
+    def of(cls, request: Request, submitter: str | None) -> Plan:
+        """Of a whole entry: its pieces, and what it says of policy, explainer and submitter."""
+        needed = tuple(needs(request, cell) for cell in request.cells)
+        found = request.explainer
+        key = content_key(
+            "entry",
+            SCHEMA_VERSION,
+            request.card.model_dump(mode="json", exclude={"training", "performance"}),
+            [found.distribution, found.version, found.entry_point],
+            submitter,
+            [piece.key for each in needed for piece in each],
+        )
+        return cls(request, needed, key)
+
+    def __iter__(self) -> Iterator[Piece]:
+        for each in self.needs:
+            yield from each
+
+    @property
+    def explainer(self) -> str:
+        return self.request.explainer.explainer.name
+
+    @property
+    def piece_keys(self) -> list[str]:
+        return [piece.key for piece in self]

@@ -1,0 +1,117 @@
+"""What a run is to compute, written down as it begins: `xmarl-bench status` says how far it is."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shlex
+import socket
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from xmarl_bench.records.files import is_running, pretty_json, write_atomically
+from xmarl_bench.score.pieces import Plan
+from xmarl_bench.score.store import Store
+
+FOLDER = "runs"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One entry of a run."""
+
+    policy: str
+    explainer: str
+    own: list[str]  # keys of the pieces that are this explainer's alone
+    shared: list[str]
+
+    @property
+    def pieces(self) -> list[str]:
+        return self.own + self.shared
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run: the latest into its folder."""
+
+    out: str
+    command: str
+    started: str  # ISO 8601, UTC
+    host: str
+    pid: int
+    asked: list[Asked]
+
+    @classmethod
+    def of(cls, plans: Sequence[Plan], out: Path, started: str) -> RunRecord:
+        return cls(
+            str(out.resolve()),
+            shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+            started,
+            socket.gethostname(),
+            os.getpid(),
+            [
+                Asked(
+                    plan.request.card.name,
+                    plan.explainer,
+                    [piece.key for piece in plan if piece.explainer is not None],
+                    [piece.key for piece in plan if piece.explainer is None],
+                )
+                for plan in plans
+            ],
+        )
+
+    def write(self, store: Store) -> None:
+        name = hashlib.sha256(self.out.encode()).hexdigest()[:16]
+        write_atomically(store.folder / FOLDER / f"{name}.json", pretty_json(ADAPTER.dump_python(self)))
+
+    def progress(self, store: Store) -> Progress:
+        keys = {key for each in self.asked for key in each.pieces}
+        done = {key for key in keys if store.has(key)}
+        failures = {key: text for key in sorted(keys - done) if (text := store.failure(key)) is not None}
+        by_explainer = Counter[str]()
+        of_explainer = Counter[str]()
+        for each in self.asked:
+            of_explainer[each.explainer] += len(each.own)
+            by_explainer[each.explainer] += sum(key in done for key in each.own)
+        running = None
+        if self.host == socket.gethostname():
+            running = done != keys and is_running(self.pid)
+        return Progress(
+            running=running,
+            done=len(done),
+            pieces=len(keys),
+            entries=sum(all(key in done for key in each.pieces) for each in self.asked),
+            failures=failures,
+            explainers={name: (by_explainer[name], of_explainer[name]) for name in of_explainer},
+        )
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is."""
+
+    running: bool | None  # None: it is on another machine
+    done: int
+    pieces: int
+    entries: int  # complete
+    failures: dict[str, str]  # by key of the piece
+    explainers: dict[str, tuple[int, int]]  # pieces done and needed
+
+
+ADAPTER = TypeAdapter(RunRecord)
+
+
+def run_records(store: Store) -> Iterator[RunRecord]:
+    """Of all runs that a store knows and whose folder is still there; what is no record is left out."""
+    for path in sorted((store.folder / FOLDER).glob("*.json")):
+        try:
+            record = ADAPTER.validate_json(path.read_bytes())
+        except (OSError, ValidationError):
+            continue
+        if Path(record.out).is_dir():
+            yield record

@@ -1,0 +1,227 @@
+"""Scores explainers on policies: has the pieces computed that are missing, and makes entries of them.
+
+Bytes of an entry outside `provenance` and `cost` are the same for any workers, any number of parallel
+episodes, and whether it was made in one go or of what earlier runs had finished.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from xmarl_bench.entry.file import parse_entry
+from xmarl_bench.entry.protocol import DEFINITIONS
+from xmarl_bench.entry.provenance import now, provenance
+from xmarl_bench.entry.schema import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.effect import NORMALISER
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.origin.references import origin_of
+from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
+from xmarl_bench.plugins.registry import FoundExplainer, as_found, find_explainer, open_policy
+from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
+from xmarl_bench.policy.policy_module import PolicyModule
+from xmarl_bench.records.files import canonical_json
+from xmarl_bench.rollout.episodes import check_parallel
+from xmarl_bench.score.cell_result import Controls, cell_result, total_cost
+from xmarl_bench.score.finished import Finished
+from xmarl_bench.score.pieces import Plan
+from xmarl_bench.score.request import Cell, Request, Sampling
+from xmarl_bench.score.run_record import RunRecord
+from xmarl_bench.score.store import Store
+from xmarl_bench.score.sweep import Sweep
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A request of which there is no entry, and why."""
+
+    request: Request
+    error: str
+
+    def __str__(self) -> str:
+        return f"{self.request.explainer.explainer.name} on {self.request.card.name}: {self.error}"
+
+
+def score(
+    policy: str | Path | PolicyModule | tuple[Policy, PolicyCard],
+    explainer: object,
+    *,
+    task: str | None = None,
+    n_agents: int | None = None,
+    episodes: int = 50,
+    timesteps: int | None = None,
+    max_cycles: int | None = None,
+    behaviour_episodes: int | None = None,
+    seed: int = 0,
+    jobs: int = 1,
+    parallel_episodes: int = 50,
+    progress: bool = False,
+    submitter: str | None = None,
+    trust_code: bool = False,
+    cells: Path | None = None,
+) -> Entry:
+    """Score one explainer on one policy in one cell.
+
+    Args:
+        policy: a registered name, the folder or zip of a bundle, `module:factory`, what `load_policy`
+            returns, or a network of your own as a `PolicyModule`.
+        explainer: a registered name, `path/to/file.py:Name`, `module:Name`, an `Explainer`, or what
+            `as_explainer` makes one of: a function, a class, an algorithm of torch_geometric.explain.
+        task, n_agents: what the policy was trained for by default.
+        episodes, timesteps, max_cycles, seed: which states, see `Sampling`.
+        behaviour_episodes: how many of the episodes the team also plays on the explanation, which asks the
+            explainer at every step; all by default, none for explainers that declare themselves slow.
+        jobs: processes.
+        parallel_episodes: episodes stepped side by side in a process.
+        trust_code: run the code that a policy brings, where `policy` names such a one.
+        cells: folder in which finished work is kept and looked for, see `Store`; by default nothing is kept.
+
+    Raises InputError for anything wrong with these, and where the explainer fails.
+    """
+    if isinstance(policy, str | Path):
+        network, card = open_policy(str(policy), trust_code=trust_code)
+    elif isinstance(policy, PolicyModule):
+        network, card = policy.open(origin_of(policy.network))
+    else:
+        network, card = policy
+    found = find_explainer(explainer) if isinstance(explainer, str) else as_found(explainer)
+    cell = Cell(card.task if task is None else task, card.n_agents if n_agents is None else n_agents)
+    sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
+    request = Request(network, card, found, (cell,), sampling, behaviour_episodes)
+    outcomes = score_requests(
+        [request],
+        workers=Workers(jobs),
+        parallel_episodes=parallel_episodes,
+        progress=progress,
+        submitter=submitter,
+        store=None if cells is None else Store(cells),
+    )
+    return next(entries_of(outcomes))
+
+
+def score_requests(
+    requests: Sequence[Request],
+    *,
+    workers: Workers = ONE_PROCESS,
+    parallel_episodes: int = 50,
+    progress: bool = False,
+    submitter: str | None = None,
+    store: Store | None = None,
+    fresh: bool = False,
+    out: Path | None = None,
+) -> Iterator[Entry | Failed]:
+    """Yield an entry per request, in order, each as soon as it is complete; or why there is none.
+
+    store: where finished work is looked for and kept, a temporary one by default. fresh: compute again what
+    it holds. out: where the entries will go, for `xmarl-bench status`. Raises InputError before anything is
+    yielded where an explainer works on no policy at all, where two explainers share a name, and where
+    results cannot be written.
+    """
+    check_parallel(parallel_episodes)
+    explainers, started = _by_name(requests), now()
+    with ExitStack() as stack:
+        if store is None:
+            store = Store(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="xmarl-bench-"))))
+        store.prepare()
+        plans = [Plan.of(request, submitter) for request in requests]
+        if fresh:
+            for key in {key for plan in plans for key in (plan.key, *plan.piece_keys)}:
+                store.remove(key)
+        if out is not None:
+            RunRecord.of(plans, out, started).write(store)
+        finished, controls = Finished(store), Controls()
+        kept = {plan.key for plan in plans if store.has(plan.key)}
+        proven = {plan.explainer for plan in plans if plan.key in kept}
+        sweep = Sweep(finished, explainers, workers, parallel_episodes, progress, proven)
+        settled = sweep.compute(piece for plan in plans if plan.key not in kept for piece in plan)
+        for plan in plans:
+            known = store.read(plan.key)
+            if known is not None:
+                yield parse_entry(known)
+                continue
+            while not sweep.unsettled.isdisjoint(plan.piece_keys):
+                next(settled)
+            error = next((sweep.errors[piece.key] for piece in plan if piece.key in sweep.errors), None)
+            if error is not None:
+                yield Failed(plan.request, error)
+                continue
+            entry = _entry(plan, finished, controls, started, workers.jobs or 1, submitter)
+            store.write(plan.key, canonical_json(entry.model_dump(mode="json")))
+            yield entry
+
+
+def entries_of(outcomes: Iterable[Entry | Failed]) -> Iterator[Entry]:
+    """The entries, where one that failed is one too many: raises InputError with its error."""
+    for outcome in outcomes:
+        if isinstance(outcome, Failed):
+            raise InputError(outcome.error)
+        yield outcome
+
+
+def _by_name(requests: Sequence[Request]) -> dict[str, Explainer]:
+    """Raises InputError where two explainers share a name: entries are filed by it."""
+    explainers: dict[str, Explainer] = {}
+    for request in requests:
+        explainer = request.explainer.explainer
+        if explainers.setdefault(explainer.name, explainer) != explainer:
+            raise InputError(f"two explainers are named {explainer.name!r}: rename one.")
+    return explainers
+
+
+def _entry(
+    plan: Plan, finished: Finished, controls: Controls, started: str, jobs: int, submitter: str | None
+) -> Entry:
+    request = plan.request
+    card, found, sampling = request.card, request.explainer, request.sampling
+    cells = [
+        cell_result(request, cell, needed, finished, controls)
+        for cell, needed in zip(request.cells, plan.needs, strict=True)
+    ]
+    return make_entry(
+        submitter=submitter,
+        policy=PolicyRecord(
+            name=card.name,
+            task=card.task,
+            n_agents=card.n_agents,
+            weights_sha256=card.weights_sha256,
+            architecture=card.architecture,
+            attention_entropy=card.attention_entropy,
+            training_seed=card.training_seed,
+            trusted_code=isinstance(card.architecture, CodeArchitecture),
+        ),
+        explainer=explainer_record(found, sampling.seed),
+        protocol=Protocol(
+            episodes=sampling.episodes,
+            seeds=tuple(sampling.seeds),
+            timesteps=sampling.timesteps,
+            definitions=DEFINITIONS,
+        ),
+        results=tuple(result for result, _ in cells),
+        cost=total_cost([cost for _, cost in cells]),
+        provenance=provenance(started, jobs),
+    )
+
+
+def explainer_record(found: FoundExplainer, seed: int) -> ExplainerRecord:
+    """What an entry says of its explainer. seed: of the run."""
+    explainer = found.explainer
+    return ExplainerRecord(
+        name=explainer.name,
+        distribution=found.distribution,
+        version=found.version,
+        entry_point=found.entry_point,
+        hyperparameters=dict(explainer.hyperparameters),
+        stochastic=explainer.stochastic,
+        control=explainer.control,
+        seed=seed,
+        batched=explainer.batched,
+        binary=explainer.binary,
+        signed=NORMALISER if explainer.signed else None,
+        needs_fit=explainer.fit is not None,
+        accesses=explainer.accesses,
+        code_sha256=found.code_sha256,
+    )

@@ -1,0 +1,151 @@
+"""From names to requests: which policies, explainers and cells a command means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from xmarl_envs import TASKS
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.plugins.registry import (
+    FoundExplainer,
+    check_task,
+    explainer_names,
+    find_code_policies,
+    find_explainer,
+    find_policies,
+    open_policy,
+    unknown,
+)
+from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.default_policies import default_policies, is_checkpoint
+from xmarl_bench.render.recording import TEAMS
+from xmarl_bench.score.request import Cell, Request, Sampling, check_fit
+
+ALL, FINISHED, DEFAULT = "all", "finished", "default"
+
+
+def select_policies(
+    names: Sequence[str], tasks: Sequence[str], agents: Sequence[str], *, trust_code: bool = False
+) -> list[tuple[Policy, PolicyCard, tuple[Cell, ...]]]:
+    """The policies to run, each with its cells.
+
+    `all` policies are those trained for one of the tasks and team sizes asked for; those that bring code are
+    among them with `trust_code` only. `finished` are these but for checkpoints along training, `default` the
+    best seed of each of their cells. A policy asked for
+    by name, bundle or module:factory runs with every team size asked for, or with its own for `all`.
+    """
+    sizes = _sizes(agents)
+    for task in tasks:
+        if task != ALL:
+            check_task(task)
+    wanted_tasks = list(TASKS) if ALL in tasks else list(tasks)
+    if {ALL, FINISHED, DEFAULT} & set(names):
+        cards = {name: load_card(folder) for name, folder in find_policies().items()}
+        if trust_code:
+            cards |= {name: open_policy(name, trust_code=True)[1] for name in find_code_policies()}
+        if ALL not in names:
+            cards = {name: card for name, card in cards.items() if not is_checkpoint(card)}
+        if ALL not in names and FINISHED not in names:
+            best = [card.name for card in default_policies(cards.values())]
+            cards = {name: card for name, card in cards.items() if card.name in best}
+        chosen = [
+            name
+            for name, card in cards.items()
+            if card.task in wanted_tasks and (sizes is None or card.n_agents in sizes)
+        ]
+        if not chosen:
+            tasks_asked = "any task" if ALL in tasks else " or ".join(wanted_tasks)
+            sizes_asked = "any number of" if sizes is None else " or ".join(map(str, sizes))
+            raise InputError(
+                f"no policy is installed for {tasks_asked} with {sizes_asked} agents: "
+                f"see `xmarl-bench list policies`, or give the folder of a policy bundle."
+            )
+        sizes = None
+    else:
+        chosen = list(dict.fromkeys(names))
+    selected: list[tuple[Policy, PolicyCard, tuple[Cell, ...]]] = []
+    for name in chosen:
+        policy, card = open_policy(name, trust_code=trust_code)
+        check_task(card.task)
+        # One name stands for one policy in a run, for entries are filed by it.
+        if any(card.name == other.name for _, other, _ in selected):
+            raise InputError(
+                f"two policies are named {card.name!r} ({name} is one): rename one, or leave it out."
+            )
+        cells = tuple(Cell(card.task, n) for n in (sizes or [card.n_agents]))
+        if card.task not in wanted_tasks:
+            check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # says why not
+        for cell in cells:
+            check_fit(card, cell)
+        selected.append((policy, card, cells))
+    return selected
+
+
+def select_explainers(names: Sequence[str]) -> list[FoundExplainer]:
+    """`all` leaves controls out, for every entry carries them."""
+    everything = [name for name in explainer_names() if name not in CONTROLS]
+    return [find_explainer(name) for name in (everything if ALL in names else dict.fromkeys(names))]
+
+
+def select_team(
+    policy: str, task: str | None, agents: int | None, *, trust_code: bool = False
+) -> tuple[Policy | None, str, Cell]:
+    """A policy (None for the teams that need none), its name and its cell; `None`s are the policy's own.
+
+    Raises InputError where nothing says which task, for unknown names and for cells that do not fit.
+    """
+    if policy in TEAMS:
+        if task is None:
+            raise InputError(
+                f"the team {policy!r} plays any task: choose one of {', '.join(TASKS)}, or choose a policy."
+            )
+        return None, policy, Cell(task, 3 if agents is None else agents)
+    sizes = [ALL if agents is None else str(agents)]
+    ((network, card, (cell,)),) = select_policies([policy], [task or ALL], sizes, trust_code=trust_code)
+    return network, card.name, cell
+
+
+def plan(
+    policies: Sequence[tuple[Policy, PolicyCard, tuple[Cell, ...]]],
+    explainers: Sequence[FoundExplainer],
+    sampling: Sampling,
+    slow: Sampling | None = None,
+    *,
+    behaviour_episodes: int | None = None,
+    no_behaviour: Sequence[str] = (),
+) -> list[Request]:
+    """One request per policy and explainer.
+
+    slow: the sampling of explainers that declare themselves slow. Where the run has such, the others are
+    scored on it as well as on `sampling`: entries are compared on the same states or not at all.
+    behaviour_episodes, no_behaviour: see `Request.behaviour_episodes`, and explainers that get none; ALL is
+    all of them. Raises InputError where one of these names is of no explainer of the run.
+    """
+    names = [found.explainer.name for found in explainers]
+    for name in no_behaviour:
+        if name != ALL and name not in names:
+            raise unknown("explainer", name, [*names, ALL], "for those are what is scored")
+    any_slow = slow is not None and slow != sampling and any(found.explainer.slow for found in explainers)
+    requests = []
+    for policy, card, cells in policies:
+        for found in explainers:
+            samplings = [sampling]
+            if any_slow and slow is not None:
+                samplings = [slow] if found.explainer.slow else [sampling, slow]
+            none = ALL in no_behaviour or found.explainer.name in no_behaviour
+            played = 0 if none else behaviour_episodes
+            requests += [Request(policy, card, found, cells, each, played) for each in samplings]
+    return requests
+
+
+def _sizes(agents: Sequence[str]) -> list[int] | None:
+    """Team sizes asked for, None for each policy's own."""
+    if ALL in agents:
+        return None
+    try:
+        return [int(text) for text in dict.fromkeys(agents)]
+    except ValueError:
+        raise InputError(f"agents must be a number or {ALL!r}, got {', '.join(agents)}.") from None

@@ -1,0 +1,258 @@
+"""What the metrics of every explainer on the same states share, computed once: F(1), the oracle's tables.
+
+S is the number of timesteps explained, N agents, D observation entries.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.oracle import best_rows, change_table, mask_of, why_no_oracle
+from xmarl_bench.metrics import (
+    Fidelity,
+    attention_distance,
+    attention_entropy,
+    budgeted_fidelity,
+    fid_delta_at_k,
+    fid_delta_table,
+    fidelity,
+    graph_explanation_unfaithfulness,
+    kl_divergence,
+    mask_mass,
+    mask_of_senders,
+    oracle_at_k,
+    other_senders,
+    others_table,
+    prediction_change,
+    random_at_k,
+    top_k_rows,
+)
+from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, existing_edges
+
+Floats = NDArray[np.float64]
+Values = dict[str, float | None]
+Edges = NDArray[np.bool_]
+Budgets = dict[str, dict[str, tuple[float | None, ...] | None]]
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """What rankings of M senders are placed between: see xmarl_bench.metrics.budgeted_fidelity."""
+
+    delta: Floats  # (2^M, S, N) FidDelta of every row
+    random: Floats  # (M - 1,)
+    oracle: Floats  # (M - 1,)
+    edges: Edges | None  # (S, N, M), which senders there are; None is all
+
+    @classmethod
+    def of(cls, change: Floats, edges: Edges | None) -> Ranking:
+        delta = fid_delta_table(change)
+        return cls(delta, random_at_k(delta, edges), oracle_at_k(delta, edges), edges)
+
+    def score(self, senders: NDArray[np.floating], noise: Floats) -> Ranked:
+        """(S, N, M) mask and noise -> what the mask's ranking scores."""
+        explained = fid_delta_at_k(self.delta, top_k_rows(senders, noise, self.edges))
+        budgeted = budgeted_fidelity(explained, self.random, self.oracle)
+        return Ranked(explained, self.random, self.oracle, budgeted)
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A mask's FidDelta@k, k = 1 .. M - 1, and what it is placed between; that is None without a table."""
+
+    explained: Floats
+    random: Floats | None
+    oracle: Floats | None
+    budgeted: float
+
+    @property
+    def mean(self) -> float:
+        return float(self.explained.mean()) if self.explained.size else math.nan
+
+    def record(self) -> dict[str, tuple[float | None, ...] | None]:
+        """Of `BudgetRow`."""
+        curves = {"explained": self.explained, "random": self.random, "oracle": self.oracle}
+        return {
+            name: None if curve is None else tuple(number(value) for value in curve)
+            for name, curve in curves.items()
+        }
+
+
+@dataclass(frozen=True)
+class States:
+    """The states of one episode that are explained, and what does not depend on the mask.
+
+    Rankings are None where the policy or the team has no oracle; `renormalised` is for a GraphPolicy alone.
+    """
+
+    policy: Policy
+    observations: Tensor  # (S, N, D)
+    edges: Edges | None  # (S, N, N), those of the policy's graph; None is the complete one
+    prepared: Any
+    full: ActionDistribution  # F(1)
+    noise: Floats  # (S, N, N): decides between equal values of a mask, the same for all explainers
+    all_edges: Ranking | None
+    communication: Ranking | None
+    renormalised: Ranking | None
+    oracle_mask: Tensor | None  # (S, N, N)
+
+    @classmethod
+    @torch.no_grad()
+    def of(cls, policy: Policy, observations: Tensor, rng: np.random.Generator) -> States:
+        n_steps, n_agents, _ = observations.shape
+        edges = existing_edges(policy, observations)
+        others = None if edges is None else other_senders(edges)
+        all_edges = communication = renormalised = oracle = None
+        if why_no_oracle(policy, n_agents) is None:
+            change = change_table(policy, observations)
+            all_edges = Ranking.of(change, edges)
+            communication = Ranking.of(others_table(change), others)
+            oracle = mask_of(best_rows(change, edges), n_agents)
+            if isinstance(policy, GraphPolicy):
+                renormalised = Ranking.of(change_table(policy, observations, renormalised=True), edges)
+        prepared = policy.prepare(observations)
+        return cls(
+            policy=policy,
+            observations=observations,
+            edges=edges,
+            prepared=prepared,
+            full=policy.decode(prepared),
+            noise=rng.random((n_steps, n_agents, n_agents)),
+            all_edges=all_edges,
+            communication=communication,
+            renormalised=renormalised,
+            oracle_mask=oracle,
+        )
+
+    @torch.no_grad()
+    def mask_metrics(self, mask: Tensor) -> Values:
+        """Metrics of a mask (S, N, N), over the S timesteps together. What is not a number is None."""
+        return self._values(mask, *self._rankings(mask), *self._sides(mask))
+
+    @torch.no_grad()
+    def with_inverse(self, mask: Tensor) -> tuple[Values, Budgets, Values]:
+        """Metrics of a mask, its FidDelta at every budget, and metrics of 1 - mask.
+
+        The inverse needs no forward of its own, for what one mask keeps the other drops.
+        """
+        kept, dropped, heard, unheard = self._sides(mask)
+        all_edges, communication = self._rankings(mask)
+        inverse = 1.0 - mask
+        return (
+            self._values(mask, all_edges, communication, kept, dropped, heard, unheard),
+            {"budget": all_edges.record(), "comm_budget": communication.record()},
+            self._values(inverse, *self._rankings(inverse), dropped, kept, unheard, heard),
+        )
+
+    def _rankings(self, mask: Tensor) -> tuple[Ranked, Ranked]:
+        """Of all edges, and of the messages between agents alone."""
+        senders, noise = mask.numpy(), self.noise
+        own = torch.eye(mask.shape[-1])
+        return (
+            self._rank(self.all_edges, senders, noise, torch.zeros_like(own)),
+            self._rank(self.communication, other_senders(senders), other_senders(noise), own),
+        )
+
+    def _sides(self, mask: Tensor) -> Iterator[ActionDistribution]:
+        """F of the mask and of its complement; then of both with every agent's own edge kept."""
+        own = torch.eye(mask.shape[-1]).expand_as(mask)
+        masks = (mask, 1.0 - mask, torch.maximum(mask, own), torch.maximum(1.0 - mask, own))
+        return map(self._decode, masks)
+
+    def _values(
+        self,
+        mask: Tensor,
+        all_edges: Ranked,
+        communication: Ranked,
+        kept: ActionDistribution,
+        dropped: ActionDistribution,
+        heard: ActionDistribution,
+        unheard: ActionDistribution,
+    ) -> Values:
+        fid, comm = self._fidelity(kept, dropped), self._fidelity(heard, unheard)
+        kl, comm_kl = self._kl(kept), self._kl(heard)
+        senders = mask.numpy()
+        renorm = None if self.renormalised is None else self.renormalised.score(senders, self.noise)
+        values = {
+            "fid_plus": fid.plus.mean(),
+            "fid_minus": fid.minus.mean(),
+            "fid_delta": fid.delta.mean(),
+            "gef": graph_explanation_unfaithfulness(kl).mean(),
+            "median_kl": np.median(kl),
+            "mask_mass": mask_mass(senders, self.edges).mean(),
+            "topk_fid_delta": all_edges.mean,
+            "budgeted_fidelity": all_edges.budgeted,
+            "comm_fid_plus": comm.plus.mean(),
+            "comm_fid_minus": comm.minus.mean(),
+            "comm_fid_delta": comm.delta.mean(),
+            "comm_gef": graph_explanation_unfaithfulness(comm_kl).mean(),
+            "comm_topk_fid_delta": communication.mean,
+            "comm_budgeted_fidelity": communication.budgeted,
+            "renorm_topk_fid_delta": math.nan if renorm is None else renorm.mean,
+            "renorm_budgeted_fidelity": math.nan if renorm is None else renorm.budgeted,
+        }
+        return {name: number(value) for name, value in values.items()}
+
+    @torch.no_grad()
+    def policy_metrics(self) -> Values:
+        """What is the policy's and no explainer's; None too where nothing attends."""
+        n_agents = self.observations.shape[1]
+        alone = self._decode(torch.eye(n_agents).repeat(len(self.observations), 1, 1))
+        values = {"communication_dependence": prediction_change(_action(self.full), _action(alone)).mean()}
+        try:
+            attention = self.policy.attention(self.observations).numpy()
+            values["attention_entropy"] = attention_entropy(attention).mean()
+            values["attention_distance"] = attention_distance(attention, self.edges).mean()
+        except InputError:
+            values["attention_entropy"] = values["attention_distance"] = math.nan
+        return {name: number(value) for name, value in values.items()}
+
+    def _decode(self, mask: Tensor) -> ActionDistribution:
+        """One mask at a time: in a batch of another size F(1) would not be F(1) to the bit."""
+        return self.policy.decode(self.prepared, mask)
+
+    def _fidelity(self, kept: ActionDistribution, dropped: ActionDistribution) -> Fidelity:
+        return fidelity(_action(self.full), _action(kept), _action(dropped))
+
+    def _kl(self, kept: ActionDistribution) -> Floats:
+        full = self.full
+        if full.kind == "deterministic":
+            return np.full(full.loc.shape[:-1], math.nan)
+        return kl_divergence(full.loc.numpy(), full.scale.numpy(), kept.loc.numpy(), kept.scale.numpy())
+
+    def _rank(
+        self, ranking: Ranking | None, senders: NDArray[np.floating], noise: Floats, always: Tensor
+    ) -> Ranked:
+        """FidDelta@k and budgeted fidelity; without a table the first alone, by decoding each mask.
+
+        always: (N, N), edges kept in subgraph and complement.
+        """
+        if ranking is not None:
+            return ranking.score(senders, noise)
+        ranked = ~always.bool().numpy()
+        edges = None if self.edges is None else self.edges[:, ranked].reshape(senders.shape)
+        explained = []
+        for rows in top_k_rows(senders, noise, edges):
+            top = torch.from_numpy(mask_of_senders(rows, ranked))
+            mask = torch.maximum(top, always)
+            other = torch.maximum(1.0 - mask, always)
+            explained.append(self._fidelity(self._decode(mask), self._decode(other)).delta.mean())
+        return Ranked(np.array(explained), None, None, math.nan)
+
+
+def number(value: float) -> float | None:
+    """JSON has no NaN: what is not a finite number is None, and is counted as `n_nan` further on."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _action(distribution: ActionDistribution) -> NDArray[np.float32]:
+    return np.asarray(distribution.action.numpy())

@@ -29,7 +29,7 @@ from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.reproducible import episode_seeds, one_thread
 from xmarl_bench.rollout.episodes import roll_out
-from xmarl_bench.score.states import States
+from xmarl_bench.scoring.states import States
 
 HERE = Path(__file__).parent
 EPISODES = 10

@@ -1,4 +1,4 @@
-"""Imports follow one arrow: xmarl_baselines -> xmarl_bench -> xmarl_envs."""
+"""Imports follow one arrow: xmarl_baselines -> xmarl_bench -> xmarl_envs, and one way inside xmarl_bench."""
 
 from __future__ import annotations
 
@@ -18,6 +18,19 @@ ALLOWED = {
     xmarl_baselines: {"xmarl_envs", "xmarl_bench", "xmarl_baselines"},
 }
 
+# Floors of xmarl_bench, lowest first: a package imports from lower floors only, or from itself.
+FLOORS = (
+    ("errors",),
+    ("metrics", "origin", "parallel", "records", "reproducible"),
+    ("policy",),
+    ("entry", "rollout"),
+    ("compare", "explain"),
+    ("board", "checks", "plugins"),
+    ("scoring",),
+    ("papers", "render", "submission"),
+    ("cli",),
+)
+
 
 @pytest.mark.parametrize("package", ALLOWED, ids=lambda package: package.__name__)
 def test_a_package_imports_only_what_is_below_it(package: ModuleType) -> None:
@@ -29,15 +42,37 @@ def test_a_package_imports_only_what_is_below_it(package: ModuleType) -> None:
         assert ours <= ALLOWED[package], file
 
 
-def imported(file: Path) -> set[str]:
-    """The top-level names of all imports of a file, inside functions too."""
+def test_packages_of_the_harness_import_from_lower_floors_only() -> None:
+    folder = Path(str(xmarl_bench.__file__)).parent
+    floor_of = {name: floor for floor, names in enumerate(FLOORS) for name in names}
+    here = {path.stem for path in folder.iterdir() if (path / "__init__.py").exists() or path.suffix == ".py"}
+    assert here - {"__init__"} == set(floor_of)
+    for file in folder.rglob("*.py"):
+        own = file.relative_to(folder).parts[0].removesuffix(".py")
+        if own == "__init__":
+            continue
+        for name in modules_imported(file):
+            top, _, rest = name.partition(".")
+            other = rest.partition(".")[0]
+            if top == "xmarl_bench" and other != own:
+                assert floor_of[other] < floor_of[own], f"{file} imports {name}"
+
+
+def modules_imported(file: Path) -> set[str]:
+    """Full names of the modules that a file imports from, inside functions too."""
     names = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            names |= {alias.name.split(".")[0] for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            names.add(node.module.split(".")[0])
+            bare = node.module == "xmarl_bench"
+            names |= {f"{node.module}.{alias.name}" if bare else node.module for alias in node.names}
     return names
+
+
+def imported(file: Path) -> set[str]:
+    """The top-level names of all imports of a file, inside functions too."""
+    return {name.split(".")[0] for name in modules_imported(file)}
 
 
 def test_the_environments_need_no_learning_library() -> None:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from xmarl_bench.policy.policy_module import PolicyModule
     from xmarl_bench.rollout.episodes import Episode, roll_out
     from xmarl_bench.rollout.evaluation import Performance, evaluate
-    from xmarl_bench.score.scoring import score
+    from xmarl_bench.scoring.score import score
 
 _HOME = {
     "Architecture": "policy",
@@ -58,7 +58,7 @@ _HOME = {
     "read_entry": "entry.file",
     "roll_out": "rollout.episodes",
     "save_policy": "policy",
-    "score": "score.scoring",
+    "score": "scoring.score",
     "write_entry": "entry.file",
 }
 

@@ -32,9 +32,9 @@ from xmarl_bench.metrics import attention_entropy, prediction_change
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.records.files import write_json
 from xmarl_bench.reproducible import one_thread
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.rollout.evaluation import evaluate_policy
-from xmarl_bench.score.request import Cell, Sampling
 
 RECORDS = CONTROLS / "paper_lambda"
 STATES = Sampling(episodes=20)  # whose every timestep is looked at in the end: the first that scoring plays

@@ -27,8 +27,8 @@ from xmarl_bench.policy import PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_final, worth
 from xmarl_bench.records.files import write_atomically, write_json
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.evaluation import Performance, evaluate
-from xmarl_bench.score.request import Cell, Sampling
 
 ROOT = Path(__file__).parent.parent.parent
 READMES = (ROOT / "README.md", ROOT / "baselines" / "README.md")

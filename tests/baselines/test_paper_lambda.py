@@ -20,7 +20,7 @@ from xmarl_baselines.training.shaping import Shaping
 from xmarl_baselines.training.trainer import Run, build
 from xmarl_envs import TASKS
 
-from xmarl_bench.score.request import Sampling
+from xmarl_bench.rollout.cell import Sampling
 
 # Kailas et al. (ICML 2025), appendix: learning rate, gamma, lambda of GAE, clip epsilon, normalised, epochs,
 # gradient norm, minibatch, iterations, frames per batch; and the weight of the attention-entropy term.

@@ -10,9 +10,9 @@ from xmarl_envs import TASKS
 from xmarl_bench.entry.file import read_entry, write_entry
 from xmarl_bench.plugins.registry import find_policies
 from xmarl_bench.policy import load_policy
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.evaluation import Performance, evaluate
-from xmarl_bench.score.request import Cell, Sampling
-from xmarl_bench.score.scoring import score
+from xmarl_bench.scoring.score import score
 
 
 def test_every_shipped_policy_scores(tmp_path: Path) -> None:

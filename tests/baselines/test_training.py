@@ -24,7 +24,7 @@ from xmarl_envs import TASKS, BlindPassage, State, VectorEnv, make_task
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
-from xmarl_bench.score.request import Cell, Sampling
+from xmarl_bench.rollout.cell import Cell, Sampling
 
 
 @pytest.fixture(autouse=True)

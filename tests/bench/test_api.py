@@ -19,7 +19,7 @@ def test_the_harness_names_no_explainer_or_policy_of_the_baselines() -> None:
         if file.suffix in (".py", ".jinja"):
             text = file.read_text()
             # The paper's studies are of explainers that it names; they find them as anybody's are found.
-            explainers = () if file.is_relative_to(PACKAGE / "study") else ("gnn_explainer", "graphmask-pyg")
+            explainers = () if file.is_relative_to(PACKAGE / "papers") else ("gnn_explainer", "graphmask-pyg")
             for name in ("xmarl_baselines", *explainers):
                 assert name not in text, f"{file} names {name}"
 

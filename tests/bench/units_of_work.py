@@ -14,8 +14,8 @@ if TYPE_CHECKING:  # torch takes a worker seconds to import, and few of these ne
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.policy import Policy
     from xmarl_bench.rollout.episodes import Episode, Rollout
-    from xmarl_bench.score.carried import Carried
-    from xmarl_bench.score.measure import Unit
+    from xmarl_bench.scoring.carried import Carried
+    from xmarl_bench.scoring.measure import Unit
 
 
 def square(number: int) -> int:
@@ -143,8 +143,9 @@ def entries(bundle: Path, workers: Workers) -> list[str]:
     from xmarl_bench.entry.schema import Entry
     from xmarl_bench.plugins.registry import find_explainer
     from xmarl_bench.policy import load_policy
-    from xmarl_bench.score.request import Cell, Request, Sampling
-    from xmarl_bench.score.scoring import score_requests
+    from xmarl_bench.rollout.cell import Cell, Sampling
+    from xmarl_bench.scoring.request import Request
+    from xmarl_bench.scoring.score import score_requests
 
     policy, card = load_policy(bundle)
     sampling = Sampling(episodes=2, timesteps=1, max_cycles=4)

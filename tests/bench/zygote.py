@@ -23,7 +23,7 @@ import scipy.stats  # noqa: F401
 
 from xmarl_bench.cli import board, score  # noqa: F401
 from xmarl_bench.cli import main as cli
-from xmarl_bench.score.scoring import score_requests  # noqa: F401
+from xmarl_bench.scoring.score import score_requests  # noqa: F401
 
 
 class Request(TypedDict, total=False):

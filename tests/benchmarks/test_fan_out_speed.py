@@ -25,11 +25,12 @@ from xmarl_bench.parallel.fan_out import fan_out
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.plugins.registry import find_explainer, find_policies
 from xmarl_bench.policy import load_policy
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
-from xmarl_bench.score.measure import Unit
-from xmarl_bench.score.request import Cell, Request, Sampling
-from xmarl_bench.score.scoring import Failed, score_requests
-from xmarl_bench.score.store import Store
+from xmarl_bench.scoring.measure import Unit
+from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.score import Failed, score_requests
+from xmarl_bench.scoring.store import Store
 
 TITLE = "fan-out"
 CELLS, OVERHEAD = 5000, 0.020  # seconds per cell

@@ -32,8 +32,8 @@ from xmarl_baselines.training.trainer import Run, build
 from xmarl_envs import make_task
 
 from tests.benchmarks.conftest import Report
+from xmarl_bench.rollout.cell import Sampling
 from xmarl_bench.rollout.episodes import mean_metrics, roll_out
-from xmarl_bench.score.request import Sampling
 
 TASK = "blind_navigation_v0"
 SCHEDULE = PAPER_SCHEDULE[TASK]

@@ -34,7 +34,7 @@ from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread, seeded
-from xmarl_bench.score.measure import spaced_timesteps
+from xmarl_bench.rollout.cell import spaced_timesteps
 
 SEED: Final = 1
 ROUNDING: Final = 1e-4  # matrix products round by the size of their batch

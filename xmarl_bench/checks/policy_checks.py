@@ -21,9 +21,8 @@ from xmarl_bench.explain.fitting import FIRST_FIT_SEED, fit_states
 from xmarl_bench.metrics.statistics import paired_bootstrap
 from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.reproducible import one_thread
+from xmarl_bench.rollout.cell import Cell, spaced_timesteps
 from xmarl_bench.rollout.episodes import Episode, play, roll_out
-from xmarl_bench.score.measure import spaced_timesteps
-from xmarl_bench.score.request import Cell
 
 SEED: Final = 1
 ROUNDING: Final = 1e-4  # action units: sums round by their order and by the size of a batch

@@ -24,8 +24,8 @@ def build(
 ) -> None:
     """Derive leaderboard.json, leaderboard.csv and the page from the entries."""
     from xmarl_bench.board import build_board
-    from xmarl_bench.board.animations import draw_missing
     from xmarl_bench.errors import InputError
+    from xmarl_bench.render.board_animations import draw_missing
 
     if not (folder / "entries").is_dir():
         raise InputError(f"there is no folder {folder / 'entries'}: give the folder of a leaderboard.")

@@ -29,7 +29,8 @@ def check_explainer(
 ) -> None:
     """Check that an explainer's masks are masks, repeat, and leave no traces; 1 where a check fails."""
     from xmarl_bench.checks.explainer_checks import check_explainer as run
-    from xmarl_bench.plugins.registry import find_explainer, find_policies, open_policy, unknown
+    from xmarl_bench.errors import unknown
+    from xmarl_bench.plugins.registry import find_explainer, find_policies, open_policy
 
     found = find_explainer(name)
     chosen = policy if policy is not None else next(iter(find_policies()), None)
@@ -52,7 +53,8 @@ def check_policy(
     """Check that a policy is one function of a blind team that meets in messages; 1 where a check fails."""
     from xmarl_bench.checks.policy_checks import check_policy as run
     from xmarl_bench.plugins.registry import open_policy
-    from xmarl_bench.score.request import Cell, check_fit
+    from xmarl_bench.rollout.cell import Cell
+    from xmarl_bench.scoring.request import check_fit
 
     network, card = open_policy(name, trust_code=trust_code)
     cell = Cell(card.task, card.n_agents if agents is None else agents)

@@ -37,10 +37,10 @@ def convert(
 
     from xmarl_bench.cli import tables
     from xmarl_bench.errors import InputError
-    from xmarl_bench.plugins.registry import check_task
     from xmarl_bench.policy import build_policy, save_policy
     from xmarl_bench.policy import convert as reading
     from xmarl_bench.policy.shapes import weight_shapes
+    from xmarl_bench.rollout.cell import check_task
 
     tensors = reading.read_tensors(weights)
     if out is None:

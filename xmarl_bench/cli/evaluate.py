@@ -40,9 +40,9 @@ def evaluate(
     """Measure how well policies do their task, with messages between agents and without."""
     from xmarl_bench.cli import tables
     from xmarl_bench.parallel.workers import Workers
+    from xmarl_bench.rollout.cell import Sampling
     from xmarl_bench.rollout.evaluation import evaluate as run
-    from xmarl_bench.score.request import Sampling
-    from xmarl_bench.score.selection import select_policies
+    from xmarl_bench.scoring.selection import select_policies
 
     selected = select_policies(policy, task, agents, trust_code=trust_code)
     pairs = [(network, card, cell) for network, card, cells in selected for cell in cells]

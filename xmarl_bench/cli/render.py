@@ -29,7 +29,7 @@ def render(
     from xmarl_bench.plugins.registry import find_explainer
     from xmarl_bench.render.animation import check_target, write_animation
     from xmarl_bench.render.recording import record
-    from xmarl_bench.score.selection import select_team
+    from xmarl_bench.render.team import select_team
 
     check_target(out)
     network, name, cell = select_team(policy, task, agents, trust_code=trust_code)

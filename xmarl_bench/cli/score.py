@@ -24,7 +24,7 @@ from xmarl_bench.cli.options import (
     Tasks,
     TrustCode,
 )
-from xmarl_bench.score.store import DEFAULT_FOLDER
+from xmarl_bench.scoring.store import DEFAULT_FOLDER
 
 
 def score(
@@ -80,10 +80,10 @@ def score(
     from xmarl_bench.entry.file import read_entries, write_entry
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.files import locked, remove_leftovers
-    from xmarl_bench.score.request import Sampling
-    from xmarl_bench.score.scoring import Failed, score_requests
-    from xmarl_bench.score.selection import plan, select_explainers, select_policies
-    from xmarl_bench.score.store import Store
+    from xmarl_bench.rollout.cell import Sampling
+    from xmarl_bench.scoring.score import Failed, score_requests
+    from xmarl_bench.scoring.selection import plan, select_explainers, select_policies
+    from xmarl_bench.scoring.store import Store
 
     workers = Workers(jobs, backend, address)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)

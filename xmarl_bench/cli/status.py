@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from xmarl_bench.cli.options import AsJson, Cells
-from xmarl_bench.score.store import DEFAULT_FOLDER
+from xmarl_bench.scoring.store import DEFAULT_FOLDER
 
 
 def status(
@@ -21,8 +21,8 @@ def status(
     """Say how far runs of score and study are: what is done, what failed, whether they still run."""
     from xmarl_bench.cli import tables
     from xmarl_bench.errors import InputError
-    from xmarl_bench.score.run_record import run_records
-    from xmarl_bench.score.store import Store
+    from xmarl_bench.scoring.run_record import run_records
+    from xmarl_bench.scoring.store import Store
 
     store = Store(cells)
     records = [record for record in run_records(store) if out is None or record.out == str(out.resolve())]

@@ -18,7 +18,7 @@ from xmarl_bench.cli.options import (
     Resume,
     Seed,
 )
-from xmarl_bench.score.store import DEFAULT_FOLDER
+from xmarl_bench.scoring.store import DEFAULT_FOLDER
 
 
 class Name(StrEnum):
@@ -79,9 +79,9 @@ def study(
     from xmarl_bench.papers.kailas2025.samples import Samples
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.files import locked, remove_leftovers
-    from xmarl_bench.score.request import Sampling
-    from xmarl_bench.score.scoring import Failed, score_requests
-    from xmarl_bench.score.store import Store
+    from xmarl_bench.rollout.cell import Sampling
+    from xmarl_bench.scoring.score import Failed, score_requests
+    from xmarl_bench.scoring.store import Store
 
     workers = Workers(jobs, backend, address)
     chosen = STUDIES[name.value]

@@ -21,8 +21,8 @@ from xmarl_bench.plugins.registry import explainer_names, find_explainer, regist
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.rollout.evaluation import Performance
-from xmarl_bench.score.run_record import Progress, RunRecord
-from xmarl_bench.score.scoring import Failed
+from xmarl_bench.scoring.run_record import Progress, RunRecord
+from xmarl_bench.scoring.score import Failed
 
 Row = dict[str, Any]
 Outcome = TypeVar("Outcome")

@@ -8,10 +8,10 @@ import subprocess
 import sys
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from xmarl_bench.entry.schema import Provenance
+from xmarl_bench.origin.installed import package_version
 
 PACKAGES = ("joblib", "numpy", "pettingzoo", "pydantic", "pymunk", "safetensors", "torch", "torch-geometric")
 
@@ -40,13 +40,6 @@ def provenance(started: str, jobs: int) -> Provenance:
         started=started,
         finished=now(),
     )
-
-
-def package_version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
 
 
 @cache

@@ -3,7 +3,7 @@
 Floors that explain nothing, and the ceiling that no binary mask passes. The mask of ones keeps everything,
 so Fid- and GEF are 0 and FidDelta is what removing all messages does: an explainer that merely keeps more is
 not better. The inverse of the explainer's own mask is a control too; being no function of the policy, it is
-made where the explainer is measured (xmarl_bench.score.measure).
+made where the explainer is measured (xmarl_bench.scoring.measure).
 
 S is the number of timesteps, N agents, D observation entries.
 """

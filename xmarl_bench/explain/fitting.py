@@ -16,8 +16,8 @@ from torch import Tensor
 from xmarl_bench.explain.explainer import Explainer, fit_explainer
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, one_thread
+from xmarl_bench.rollout.cell import spaced_timesteps
 from xmarl_bench.rollout.episodes import Rollout
-from xmarl_bench.score.measure import spaced_timesteps
 
 FIT_EPISODES: Final = 10
 FIT_TIMESTEPS: Final = 20

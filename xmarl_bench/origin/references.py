@@ -8,18 +8,15 @@ import importlib.util
 import inspect
 import sys
 import textwrap
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import packages_distributions
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from cloudpickle import register_pickle_by_value
 
-from xmarl_bench.entry.provenance import package_version
 from xmarl_bench.errors import InputError
+from xmarl_bench.origin.installed import distribution_of, package_version
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ def load_reference(reference: str) -> tuple[Any, Origin]:
         found = getattr(found, part)
     if is_file:
         return found, Origin(None, None, f"{Path(place).name}:{name}", sha256)
-    distribution = _distribution_of(place)
+    distribution = distribution_of(place)
     version = None if distribution is None else package_version(distribution)
     return found, Origin(distribution, version, f"{place}:{name}", None if distribution else _of_file(module))
 
@@ -71,7 +68,7 @@ def origin_of(found: object) -> Origin:
     """
     code = found if inspect.isroutine(found) or inspect.isclass(found) else type(found)
     where = f"{code.__module__}:{code.__qualname__}"
-    distribution = _distribution_of(code.__module__)
+    distribution = distribution_of(code.__module__)
     if distribution is not None:
         return Origin(distribution, package_version(distribution), where, None)
     try:
@@ -79,16 +76,6 @@ def origin_of(found: object) -> Origin:
     except (OSError, TypeError):
         source = None
     return Origin(None, None, where, None if source is None else hashlib.sha256(source).hexdigest())
-
-
-def _distribution_of(module: str) -> str | None:
-    """The installed package that a module is of, by its top-level name."""
-    return next(iter(_distributions().get(module.split(".")[0], [])), None)
-
-
-@cache
-def _distributions() -> Mapping[str, list[str]]:
-    return packages_distributions()
 
 
 def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:

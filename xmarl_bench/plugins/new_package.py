@@ -12,8 +12,8 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from xmarl_bench.entry.provenance import package_version
 from xmarl_bench.errors import InputError
+from xmarl_bench.origin.installed import package_version
 from xmarl_bench.plugins.registry import NAME
 from xmarl_bench.records.files import check_writable, write_atomically
 

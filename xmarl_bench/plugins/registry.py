@@ -9,21 +9,18 @@ that fails to load raises, with its name.
 
 from __future__ import annotations
 
-import difflib
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from xmarl_envs import TASKS
-
-from xmarl_bench.entry.provenance import package_version
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.explain.adapters import as_explainer, code_of
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.origin.installed import package_version
 from xmarl_bench.origin.references import Origin, is_reference, load_reference, origin_of
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.policy.policy_module import PolicyModule
@@ -253,20 +250,6 @@ def _made(factory: object, name: str) -> PolicyModule:
             f"policy {name!r} is a {type(made).__name__}: let its factory return a PolicyModule."
         )
     return made
-
-
-def check_task(name: str) -> None:
-    if name not in TASKS:
-        raise unknown("task", name, TASKS)
-
-
-def unknown(kind: str, name: str, choices: Iterable[str], hint: str = "") -> InputError:
-    """The error for a name that is none of the choices, with the nearest one if there is one."""
-    listed = list(choices)
-    near = difflib.get_close_matches(name, listed, n=1)
-    guess = f" Did you mean {near[0]!r}?" if near else ""
-    others = f"choose one of {', '.join(listed)}" if listed else "none is installed"
-    return InputError(f"unknown {kind} {name!r}: {others}{', ' + hint if hint else ''}.{guess}")
 
 
 def _explainer_plugins() -> dict[str, EntryPoint]:

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from xmarl_bench.entry.file import entry_text
-from xmarl_bench.entry.provenance import package_version
 from xmarl_bench.entry.schema import Entry, Verification, entry_id
 from xmarl_bench.errors import InputError
+from xmarl_bench.origin.installed import package_version
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS, read_member
 from xmarl_bench.records.files import pretty_json, write_atomically
 from xmarl_bench.submission.archive import MANIFEST

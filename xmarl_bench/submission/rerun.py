@@ -19,11 +19,12 @@ from xmarl_bench.entry.schema import BudgetRow, CellResult, Entry, EpisodeRow, E
 from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.plugins.registry import FoundExplainer
 from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
-from xmarl_bench.score.cell_result import episode_row
-from xmarl_bench.score.measure import Explained, Unit
-from xmarl_bench.score.request import Cell, Request, Sampling
-from xmarl_bench.score.scoring import entries_of, score_requests
+from xmarl_bench.scoring.cell_result import episode_row
+from xmarl_bench.scoring.measure import Explained, Unit
+from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.score import entries_of, score_requests
 from xmarl_bench.submission.recompute import Difference, summaries
 
 # What an explainer's record may say otherwise and still be the same: where it was found, not what it is.

@@ -52,7 +52,7 @@ class Worker:
     def load(self) -> tuple[dict[str, Any], bytes]:
         """What it declares: an `ExplainerRecord`. From here on the code of strangers runs."""
         from xmarl_bench.plugins.registry import find_explainer
-        from xmarl_bench.score.scoring import explainer_record
+        from xmarl_bench.scoring.score import explainer_record
 
         self.found = find_explainer(self.name)
         return explainer_record(self.found, 0).model_dump(mode="json"), b""

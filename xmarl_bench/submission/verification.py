@@ -14,15 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from xmarl_bench.entry.provenance import now, package_version
+from xmarl_bench.entry.provenance import now
 from xmarl_bench.entry.schema import Entry, ExplainerRecord, Verification
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.origin.installed import package_version
 from xmarl_bench.plugins.registry import EXPLAINERS, FoundExplainer, find_explainer, find_policy
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.records.strict_json import shown
-from xmarl_bench.score.scoring import explainer_record
+from xmarl_bench.scoring.score import explainer_record
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
 from xmarl_bench.submission.consistency import CLOSE
 from xmarl_bench.submission.limits import Limits

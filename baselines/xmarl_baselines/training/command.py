@@ -28,8 +28,8 @@ from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.reproducible import one_thread
+from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.evaluation import Performance, evaluate_policy
-from xmarl_bench.score.request import Cell
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

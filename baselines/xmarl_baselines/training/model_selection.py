@@ -21,8 +21,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from xmarl_baselines.training.mappo import MAPPO
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.records.files import write_atomically, write_json
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import play
-from xmarl_bench.score.request import Cell, Sampling
 
 VALIDATION = Sampling(episodes=100, seed=1_000)  # scoring plays seed 0 unless told otherwise
 MEASURES = ("success_rate", "no_agent_collision", "no_object_collision", "makespan")

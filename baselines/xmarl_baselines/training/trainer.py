@@ -32,7 +32,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy, build_policy
 from xmarl_bench.records.files import write_json
 from xmarl_bench.reproducible import seeded
-from xmarl_bench.score.request import Cell
+from xmarl_bench.rollout.cell import Cell
 
 VALIDATIONS = 10  # per run
 Report = Callable[[int, dict[str, float]], None]  # frames so far, SB3's log of the last iteration

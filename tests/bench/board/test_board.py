@@ -16,8 +16,9 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import save_policy
-from xmarl_bench.score.request import Cell, Request, Sampling
-from xmarl_bench.score.scoring import entries_of, score_requests
+from xmarl_bench.rollout.cell import Cell, Sampling
+from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.score import entries_of, score_requests
 
 
 @pytest.fixture(scope="module")

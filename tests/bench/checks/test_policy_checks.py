@@ -16,7 +16,7 @@ from tests.conftest import RunCli
 from xmarl_bench.checks import run_checks
 from xmarl_bench.checks.policy_checks import CHECKS, PolicySubject, check_policy
 from xmarl_bench.policy import ModulePolicy, Policy, save_policy
-from xmarl_bench.score.request import Cell
+from xmarl_bench.rollout.cell import Cell
 
 CELL = Cell("blind_navigation_v0", 3)
 PLAYED = "success above random"

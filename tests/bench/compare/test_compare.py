@@ -17,7 +17,7 @@ from xmarl_bench.compare.matching import blocks_of, read_named, shared_states
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, make_entry
 from xmarl_bench.errors import InputError
-from xmarl_bench.score.scoring import score
+from xmarl_bench.scoring.score import score
 
 Values = Sequence[float | None]
 

@@ -16,7 +16,7 @@ from xmarl_bench.entry.file import read_entry, write_entry
 from xmarl_bench.entry.schema import Entry, EpisodeRow, Metrics, Summary, Verification, entry_id
 from xmarl_bench.errors import InputError
 from xmarl_bench.records.files import canonical_json, write_json
-from xmarl_bench.score.scoring import score
+from xmarl_bench.scoring.score import score
 
 
 @pytest.fixture

@@ -13,9 +13,10 @@ from xmarl_bench.plugins.registry import as_found
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.render.recording import record
 from xmarl_bench.reproducible import FIRST_SEED
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
-from xmarl_bench.score.request import Cell, Request, Sampling
-from xmarl_bench.score.scoring import entries_of, score_requests
+from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.score import entries_of, score_requests
 
 FITTED: list[tuple[float, Tensor]] = []  # what every fit was given
 

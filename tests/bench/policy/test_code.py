@@ -13,9 +13,9 @@ from torch_geometric.nn import TransformerConv
 from tests.bench.checks.test_policy_checks import Pilot
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench import PolicyModule, RadiusGraph, score
-from xmarl_bench.plugins import registry
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.errors import InputError
+from xmarl_bench.plugins import registry
 from xmarl_bench.policy import CodeArchitecture
 
 RAN: list[str] = []

@@ -10,7 +10,7 @@ from tests.policies import small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.default_policies import default_policies
-from xmarl_bench.score.selection import select_policies
+from xmarl_bench.scoring.selection import select_policies
 
 
 def card(name: str, success: float, free: float | None = 1.0, **fields: Any) -> PolicyCard:

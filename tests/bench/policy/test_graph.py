@@ -39,8 +39,8 @@ from xmarl_bench.policy import (
 )
 from xmarl_bench.policy.build import LayeredPolicy
 from xmarl_bench.policy.graph import edge_index_of
-from xmarl_bench.score.behaviour import top_messages
-from xmarl_bench.score.states import States
+from xmarl_bench.scoring.behaviour import top_messages
+from xmarl_bench.scoring.states import States
 
 RADIUS = RadiusGraph(radius=1.2)
 LAYERS = [{"conv": "GATv2Conv", "width": 4, "heads": 2, "activation": "tanh"}]

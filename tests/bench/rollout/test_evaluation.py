@@ -11,9 +11,9 @@ from xmarl_envs import make_task
 
 from tests.policies import small_policy
 from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.rollout.evaluation import evaluate, evaluate_policy
-from xmarl_bench.score.request import Cell, Sampling
 
 
 def test_means_are_those_of_the_episodes() -> None:

@@ -12,8 +12,9 @@ from tests.policies import small_policy
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy, save_policy
-from xmarl_bench.score.request import Cell, Request, Sampling
-from xmarl_bench.score.scoring import entries_of, score_requests
+from xmarl_bench.rollout.cell import Cell, Sampling
+from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.score import entries_of, score_requests
 from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle
 
 TASK, TEAM = "blind_passage_v0", 3

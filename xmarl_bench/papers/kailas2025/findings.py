@@ -28,7 +28,7 @@ from xmarl_bench.papers.kailas2025.tables import (
     performance_table,
 )
 from xmarl_bench.records.files import write_atomically, write_json
-from xmarl_bench.score.request import Sampling
+from xmarl_bench.rollout.cell import Sampling
 
 Json = dict[str, Any]
 TEMPLATE = Path(__file__).with_name("findings.md.jinja")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.papers.kailas2025 import main_claims, training_claims, zero_shot_claims
 from xmarl_bench.papers.kailas2025.beyond_claims import BEYOND_CLAIMS
 from xmarl_bench.papers.kailas2025.claims import MENDED, PAPER_EXPLAINERS, Cell, Claim
@@ -14,11 +14,12 @@ from xmarl_bench.papers.kailas2025.paper import NAVIGATION, TRAINING
 from xmarl_bench.papers.kailas2025.samples import percent_of
 from xmarl_bench.papers.kailas2025.training_claims import TRAINING_CLAIMS
 from xmarl_bench.papers.kailas2025.zero_shot_claims import ZERO_SHOT_CLAIMS
-from xmarl_bench.plugins.registry import FoundExplainer, find_explainer, unknown
+from xmarl_bench.plugins.registry import FoundExplainer, find_explainer
 from xmarl_bench.policy import Policy, PolicyCard
-from xmarl_bench.score.request import Cell as TaskCell
-from xmarl_bench.score.request import Request, Sampling
-from xmarl_bench.score.selection import ALL, select_policies
+from xmarl_bench.rollout.cell import Cell as TaskCell
+from xmarl_bench.rollout.cell import Sampling
+from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.selection import ALL, select_policies
 
 EXPLAINERS = (*PAPER_EXPLAINERS, *(MENDED[name] for name in PAPER_EXPLAINERS))
 

@@ -15,15 +15,15 @@ from typing import Any
 import torch
 
 from xmarl_bench.entry.protocol import DEFINITIONS, PROTOCOL
-from xmarl_bench.entry.provenance import package_version
+from xmarl_bench.origin.installed import package_version
 from xmarl_bench.plugins.registry import FoundExplainer
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.records.files import canonical_json
-from xmarl_bench.score.source_code import source_sha256
+from xmarl_bench.scoring.source_code import source_sha256
 
 COMPUTED_BY = (
-    "xmarl_bench.score.measure",
-    "xmarl_bench.score.behaviour",
+    "xmarl_bench.scoring.measure",
+    "xmarl_bench.scoring.behaviour",
     "xmarl_bench.rollout.episodes",
     "xmarl_bench.explain.fitting",
 )

@@ -15,10 +15,10 @@ from safetensors.numpy import load, save
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.rollout.episodes import Episode
-from xmarl_bench.score.behaviour import Played
-from xmarl_bench.score.measure import Explained, Shared
-from xmarl_bench.score.pieces import Piece
-from xmarl_bench.score.store import Store
+from xmarl_bench.scoring.behaviour import Played
+from xmarl_bench.scoring.measure import Explained, Shared
+from xmarl_bench.scoring.pieces import Piece
+from xmarl_bench.scoring.store import Store
 
 Kind = TypeVar("Kind")
 Result = list[Episode] | list[Shared] | list[Explained] | Played

@@ -29,7 +29,7 @@ from xmarl_bench.metrics import mask_of_senders, other_senders, top_k_rows
 from xmarl_bench.policy import Policy, existing_edges
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout.episodes import Episode, play
-from xmarl_bench.score.states import Values, number
+from xmarl_bench.scoring.states import Values, number
 
 BLOCK = 50  # episodes: those of the protocol, in one go
 SMALLEST_TEAM = 3  # with fewer there are no two messages to choose between

@@ -14,7 +14,7 @@ from tests.bench.dense_reference import reference_distribution
 from tests.policies import random_masks, random_observations, small_policy
 from xmarl_bench.explain import oracle
 from xmarl_bench.policy import ModulePolicy, Policy
-from xmarl_bench.score.states import States
+from xmarl_bench.scoring.states import States
 
 
 def states_of(policy: Policy, observations: Tensor) -> States:

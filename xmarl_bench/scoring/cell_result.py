@@ -11,14 +11,15 @@ from xmarl_envs import TASKS
 from xmarl_bench.entry.aggregation import BEHAVIOUR, SANITY, cell_metrics, control_metrics
 from xmarl_bench.entry.schema import CellResult, ControlMetrics, Cost, EpisodeRow
 from xmarl_bench.explain.controls import INVERTED, RANDOM
+from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode, mean_metrics
-from xmarl_bench.score.behaviour import Played
-from xmarl_bench.score.finished import Finished
-from xmarl_bench.score.measure import Explained, Shared
-from xmarl_bench.score.not_measured import not_measured
-from xmarl_bench.score.pieces import Needs
-from xmarl_bench.score.request import Cell, Request
-from xmarl_bench.score.states import Values, number
+from xmarl_bench.scoring.behaviour import Played
+from xmarl_bench.scoring.finished import Finished
+from xmarl_bench.scoring.measure import Explained, Shared
+from xmarl_bench.scoring.not_measured import not_measured
+from xmarl_bench.scoring.pieces import Needs
+from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.states import Values, number
 
 # Cells whose controls are kept for the next entry: explainers of a policy come one after the other.
 KEPT = 4

@@ -6,23 +6,21 @@ from collections.abc import Sequence
 
 from xmarl_envs import TASKS
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.plugins.registry import (
     FoundExplainer,
-    check_task,
     explainer_names,
     find_code_policies,
     find_explainer,
     find_policies,
     open_policy,
-    unknown,
 )
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_checkpoint
-from xmarl_bench.render.recording import TEAMS
-from xmarl_bench.score.request import Cell, Request, Sampling, check_fit
+from xmarl_bench.rollout.cell import Cell, Sampling, check_task
+from xmarl_bench.scoring.request import Request, check_fit
 
 ALL, FINISHED, DEFAULT = "all", "finished", "default"
 
@@ -88,24 +86,6 @@ def select_explainers(names: Sequence[str]) -> list[FoundExplainer]:
     """`all` leaves controls out, for every entry carries them."""
     everything = [name for name in explainer_names() if name not in CONTROLS]
     return [find_explainer(name) for name in (everything if ALL in names else dict.fromkeys(names))]
-
-
-def select_team(
-    policy: str, task: str | None, agents: int | None, *, trust_code: bool = False
-) -> tuple[Policy | None, str, Cell]:
-    """A policy (None for the teams that need none), its name and its cell; `None`s are the policy's own.
-
-    Raises InputError where nothing says which task, for unknown names and for cells that do not fit.
-    """
-    if policy in TEAMS:
-        if task is None:
-            raise InputError(
-                f"the team {policy!r} plays any task: choose one of {', '.join(TASKS)}, or choose a policy."
-            )
-        return None, policy, Cell(task, 3 if agents is None else agents)
-    sizes = [ALL if agents is None else str(agents)]
-    ((network, card, (cell,)),) = select_policies([policy], [task or ALL], sizes, trust_code=trust_code)
-    return network, card.name, cell
 
 
 def plan(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench.score.full_disk import files_of_at_most
+from tests.bench.scoring.full_disk import files_of_at_most
 from tests.conftest import MakeBundle, Ran, RunCli
 from xmarl_bench.records.files import locked
 

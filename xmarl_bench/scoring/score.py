@@ -25,14 +25,15 @@ from xmarl_bench.plugins.registry import FoundExplainer, as_found, find_explaine
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.records.files import canonical_json
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import check_parallel
-from xmarl_bench.score.cell_result import Controls, cell_result, total_cost
-from xmarl_bench.score.finished import Finished
-from xmarl_bench.score.pieces import Plan
-from xmarl_bench.score.request import Cell, Request, Sampling
-from xmarl_bench.score.run_record import RunRecord
-from xmarl_bench.score.store import Store
-from xmarl_bench.score.sweep import Sweep
+from xmarl_bench.scoring.cell_result import Controls, cell_result, total_cost
+from xmarl_bench.scoring.finished import Finished
+from xmarl_bench.scoring.pieces import Plan
+from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.run_record import RunRecord
+from xmarl_bench.scoring.store import Store
+from xmarl_bench.scoring.sweep import Sweep
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.bench.score.full_disk import files_of_at_most
+from tests.bench.scoring.full_disk import files_of_at_most
 from xmarl_bench.errors import InputError
 from xmarl_bench.records.files import locked, remove_leftovers, write_atomically
-from xmarl_bench.score.store import Store
+from xmarl_bench.scoring.store import Store
 
 KEY = "ab" + "0" * 62
 

@@ -17,7 +17,7 @@ from xmarl_bench.plugins.registry import find_explainer, find_policy
 from xmarl_bench.policy import load_policy
 from xmarl_bench.render.animation import write_animation
 from xmarl_bench.render.recording import Recording, record
-from xmarl_bench.score.request import Cell
+from xmarl_bench.rollout.cell import Cell
 
 Played = dict[tuple[object, ...], Recording]
 

@@ -11,11 +11,11 @@ from tests.bench.installed import install
 from tests.bench.made_entries import made_entry
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench.board import build_board, check_board
-from xmarl_bench.board.animations import draw_missing
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.render import animation
-from xmarl_bench.score.scoring import score
+from xmarl_bench.render.board_animations import draw_missing
+from xmarl_bench.scoring.score import score
 
 
 @pytest.fixture

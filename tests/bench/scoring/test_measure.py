@@ -14,9 +14,10 @@ from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.metrics import budgeted_fidelity
 from xmarl_bench.policy import Policy
+from xmarl_bench.rollout.cell import spaced_timesteps
 from xmarl_bench.rollout.episodes import Episode
-from xmarl_bench.score.measure import Explained, Measured, Unit, spaced_timesteps
-from xmarl_bench.score.states import Values
+from xmarl_bench.scoring.measure import Explained, Measured, Unit
+from xmarl_bench.scoring.states import Values
 
 
 @given(st.integers(1, 500), st.integers(1, 600))

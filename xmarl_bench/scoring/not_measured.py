@@ -9,8 +9,9 @@ from xmarl_bench.entry.aggregation import BEHAVIOUR
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.oracle import why_no_oracle
 from xmarl_bench.policy import GraphPolicy
-from xmarl_bench.score.behaviour import why_no_behaviour
-from xmarl_bench.score.request import Cell, Request
+from xmarl_bench.rollout.cell import Cell
+from xmarl_bench.scoring.behaviour import why_no_behaviour
+from xmarl_bench.scoring.request import Request
 
 
 def not_measured(request: Request, cell: Cell, observations: Tensor) -> dict[str, str]:

@@ -15,8 +15,8 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from xmarl_bench.records.files import is_running, pretty_json, write_atomically
-from xmarl_bench.score.pieces import Plan
-from xmarl_bench.score.store import Store
+from xmarl_bench.scoring.pieces import Plan
+from xmarl_bench.scoring.store import Store
 
 FOLDER = "runs"
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_bench.entry.protocol import SANITY_TIMESTEPS
@@ -24,8 +23,9 @@ from xmarl_bench.explain.oracle import ascend
 from xmarl_bench.explain.sanity import seed_stability, weight_randomisation
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, one_thread
+from xmarl_bench.rollout.cell import spaced_timesteps
 from xmarl_bench.rollout.episodes import Episode
-from xmarl_bench.score.states import Budgets, States, Values, number
+from xmarl_bench.scoring.states import Budgets, States, Values, number
 
 
 @dataclass(frozen=True)
@@ -125,10 +125,3 @@ class Unit:
             masks[ORACLE] = states.oracle_mask
             masks[SOFT_ORACLE] = ascend(states.policy, states.observations, states.oracle_mask)
         return masks
-
-
-def spaced_timesteps(length: int, timesteps: int | None) -> NDArray[np.int64]:
-    """Indices of at most `timesteps` evenly spaced steps of `length`: the middles of equal stretches."""
-    if timesteps is None or timesteps >= length:
-        return np.arange(length)
-    return np.asarray((2 * np.arange(timesteps) + 1) * length // (2 * timesteps))

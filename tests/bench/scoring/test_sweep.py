@@ -17,14 +17,15 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.plugins.registry import FoundExplainer, as_found, find_explainer
 from xmarl_bench.policy import Policy, load_policy
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
-from xmarl_bench.score import sweep as module
-from xmarl_bench.score.measure import Unit
-from xmarl_bench.score.request import Cell, Request, Sampling
-from xmarl_bench.score.run_record import run_records
-from xmarl_bench.score.scoring import Failed, score_requests
-from xmarl_bench.score.store import Store
-from xmarl_bench.score.sweep import Handed, run
+from xmarl_bench.scoring import sweep as module
+from xmarl_bench.scoring.measure import Unit
+from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.run_record import run_records
+from xmarl_bench.scoring.score import Failed, score_requests
+from xmarl_bench.scoring.store import Store
+from xmarl_bench.scoring.sweep import Handed, run
 
 SAMPLING = Sampling(episodes=12, timesteps=2, max_cycles=5)
 

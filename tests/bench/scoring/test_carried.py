@@ -13,7 +13,7 @@ from tests.policies import small_policy
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import Policy
-from xmarl_bench.score.carried import POLICIES_KEPT, Carried
+from xmarl_bench.scoring.carried import POLICIES_KEPT, Carried
 
 Work = tuple[Policy, str]
 

@@ -16,7 +16,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 from xmarl_bench.rollout.episodes import roll_out
-from xmarl_bench.score.behaviour import BLOCK, BehaviourBlock, Played, kept_messages, top_messages
+from xmarl_bench.scoring.behaviour import BLOCK, BehaviourBlock, Played, kept_messages, top_messages
 
 TASK = "blind_navigation_v0"
 

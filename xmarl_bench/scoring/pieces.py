@@ -13,11 +13,11 @@ from typing import Literal
 
 from xmarl_bench.entry.schema import SCHEMA_VERSION
 from xmarl_bench.policy import Policy
-from xmarl_bench.score.behaviour import BLOCK as BEHAVIOUR_BLOCK
-from xmarl_bench.score.content_key import content_key, explainer_key, policy_key
-from xmarl_bench.score.request import Cell, Request
+from xmarl_bench.rollout.cell import BLOCK, Cell
+from xmarl_bench.scoring.behaviour import BLOCK as BEHAVIOUR_BLOCK
+from xmarl_bench.scoring.content_key import content_key, explainer_key, policy_key
+from xmarl_bench.scoring.request import Request
 
-BLOCK = 10  # episodes: what a run that is killed has to do again, per worker
 Kind = Literal["episodes", "shared", "explained", "behaviour"]
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from xmarl_bench.score import source_code as module
-from xmarl_bench.score.content_key import COMPUTED_BY
-from xmarl_bench.score.source_code import source_sha256
+from xmarl_bench.scoring import source_code as module
+from xmarl_bench.scoring.content_key import COMPUTED_BY
+from xmarl_bench.scoring.source_code import source_sha256
 
 FILES = {
     "__init__.py": "",

@@ -4,55 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from xmarl_envs import TASKS, Task, make_task
-
 from xmarl_bench.errors import InputError
-from xmarl_bench.plugins.registry import FoundExplainer, check_task
+from xmarl_bench.plugins.registry import FoundExplainer
 from xmarl_bench.policy import Policy, PolicyCard
-from xmarl_bench.reproducible import episode_seeds
-from xmarl_bench.score.behaviour import why_no_behaviour
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A task with a team size. Raises InputError for an unknown task or a team it does not take."""
-
-    task: str
-    n_agents: int
-
-    def __post_init__(self) -> None:
-        check_task(self.task)
-        most = TASKS[self.task].max_agents
-        if not 1 <= self.n_agents <= most:
-            raise InputError(
-                f"{self.task} takes 1 to {most} agents, got {self.n_agents}: choose a number in that range."
-            )
-
-    def make(self) -> Task:
-        return make_task(self.task, self.n_agents)
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """Which states are scored. Entries of different sampling do not share a table."""
-
-    episodes: int = 50
-    timesteps: int | None = None  # at most so many of each episode, evenly spaced; None is all
-    max_cycles: int | None = None  # steps per episode; None is the task's own number
-    seed: int = 0  # of the episodes, and of the explainers' randomness
-
-    def __post_init__(self) -> None:
-        episode_seeds(self.seed, self.episodes)
-        for name in ("timesteps", "max_cycles"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InputError(
-                    f"{name} must be at least 1, got {value}: choose a larger one, or leave it out."
-                )
-
-    @property
-    def seeds(self) -> list[int]:
-        return episode_seeds(self.seed, self.episodes)
+from xmarl_bench.rollout.cell import Cell, Sampling
+from xmarl_bench.scoring.behaviour import why_no_behaviour
 
 
 @dataclass(frozen=True)

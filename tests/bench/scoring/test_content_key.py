@@ -10,10 +10,11 @@ import pytest
 from tests.conftest import MakeBundle
 from xmarl_bench.plugins.registry import FoundExplainer, find_explainer
 from xmarl_bench.policy import load_policy
-from xmarl_bench.score import content_key as module
-from xmarl_bench.score.content_key import code_sha256
-from xmarl_bench.score.pieces import Plan
-from xmarl_bench.score.request import Cell, Request, Sampling
+from xmarl_bench.rollout.cell import Cell, Sampling
+from xmarl_bench.scoring import content_key as module
+from xmarl_bench.scoring.content_key import code_sha256
+from xmarl_bench.scoring.pieces import Plan
+from xmarl_bench.scoring.request import Request
 
 SAMPLING = Sampling(episodes=12, timesteps=2, max_cycles=5)
 

@@ -16,11 +16,11 @@ from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.rollout.episodes import Episode, Rollout
-from xmarl_bench.score.behaviour import BehaviourBlock, Played
-from xmarl_bench.score.carried import Carried
-from xmarl_bench.score.finished import Finished, Result, encode
-from xmarl_bench.score.measure import Explained, Measured, Unit
-from xmarl_bench.score.pieces import Piece, World
+from xmarl_bench.scoring.behaviour import BehaviourBlock, Played
+from xmarl_bench.scoring.carried import Carried
+from xmarl_bench.scoring.finished import Finished, Result, encode
+from xmarl_bench.scoring.measure import Explained, Measured, Unit
+from xmarl_bench.scoring.pieces import Piece, World
 
 Group = tuple[Piece, ...]  # of the same states, which one worker prepares once; or one block to act out
 Load = tuple[Unit, ...] | BehaviourBlock | str  # a group; a text is why it cannot be had

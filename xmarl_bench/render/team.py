@@ -1,0 +1,29 @@
+"""Which team an episode is drawn of: a policy, or one that needs none."""
+
+from __future__ import annotations
+
+from xmarl_envs import TASKS
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import Policy
+from xmarl_bench.render.recording import TEAMS
+from xmarl_bench.rollout.cell import Cell
+from xmarl_bench.scoring.selection import ALL, select_policies
+
+
+def select_team(
+    policy: str, task: str | None, agents: int | None, *, trust_code: bool = False
+) -> tuple[Policy | None, str, Cell]:
+    """A policy (None for the teams that need none), its name and its cell; `None`s are the policy's own.
+
+    Raises InputError where nothing says which task, for unknown names and for cells that do not fit.
+    """
+    if policy in TEAMS:
+        if task is None:
+            raise InputError(
+                f"the team {policy!r} plays any task: choose one of {', '.join(TASKS)}, or choose a policy."
+            )
+        return None, policy, Cell(task, 3 if agents is None else agents)
+    sizes = [ALL if agents is None else str(agents)]
+    ((network, card, (cell,)),) = select_policies([policy], [task or ALL], sizes, trust_code=trust_code)
+    return network, card.name, cell

@@ -1,0 +1,69 @@
+"""Which states are scored: a task with a team size, its episodes, and the timesteps of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from xmarl_envs import TASKS, Task, make_task
+
+from xmarl_bench.errors import InputError, unknown
+from xmarl_bench.reproducible import episode_seeds
+
+BLOCK = 10  # episodes: what a run that is killed has to do again, per worker
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A task with a team size. Raises InputError for an unknown task or a team it does not take."""
+
+    task: str
+    n_agents: int
+
+    def __post_init__(self) -> None:
+        check_task(self.task)
+        most = TASKS[self.task].max_agents
+        if not 1 <= self.n_agents <= most:
+            raise InputError(
+                f"{self.task} takes 1 to {most} agents, got {self.n_agents}: choose a number in that range."
+            )
+
+    def make(self) -> Task:
+        return make_task(self.task, self.n_agents)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Which states are scored. Entries of different sampling do not share a table."""
+
+    episodes: int = 50
+    timesteps: int | None = None  # at most so many of each episode, evenly spaced; None is all
+    max_cycles: int | None = None  # steps per episode; None is the task's own number
+    seed: int = 0  # of the episodes, and of the explainers' randomness
+
+    def __post_init__(self) -> None:
+        episode_seeds(self.seed, self.episodes)
+        for name in ("timesteps", "max_cycles"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InputError(
+                    f"{name} must be at least 1, got {value}: choose a larger one, or leave it out."
+                )
+
+    @property
+    def seeds(self) -> list[int]:
+        return episode_seeds(self.seed, self.episodes)
+
+
+def check_task(name: str) -> None:
+    """Raises InputError for an unknown task."""
+    if name not in TASKS:
+        raise unknown("task", name, TASKS)
+
+
+def spaced_timesteps(length: int, timesteps: int | None) -> NDArray[np.int64]:
+    """Indices of at most `timesteps` evenly spaced steps of `length`: the middles of equal stretches."""
+    if timesteps is None or timesteps >= length:
+        return np.arange(length)
+    return np.asarray((2 * np.arange(timesteps) + 1) * length // (2 * timesteps))

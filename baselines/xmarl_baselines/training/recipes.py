@@ -90,7 +90,7 @@ class Recipe:
 RECIPES: dict[str, Recipe] = {
     "blind_navigation_v0": Recipe(
         task="blind_navigation_v0",
-        frames=7_200_000,
+        frames=4_800_000,
         n_envs=240,
         n_steps=150,
         n_epochs=2,

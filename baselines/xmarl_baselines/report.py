@@ -25,7 +25,7 @@ from xmarl_bench.papers.kailas2025.paper import MAIN as PAPER
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
-from xmarl_bench.policy.default_policies import default_policies, is_final, worth
+from xmarl_bench.policy.default_policies import default_policies, is_checkpoint, selection_key
 from xmarl_bench.records.files import write_atomically, write_json
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.evaluation import Performance, evaluate
@@ -54,7 +54,7 @@ def shipped_cards() -> list[PolicyCard]:
 
 def final(cards: list[PolicyCard]) -> list[PolicyCard]:
     """Without the checkpoints along training."""
-    return [card for card in cards if is_final(card)]
+    return [card for card in cards if not is_checkpoint(card)]
 
 
 def cell_rows(cards: list[PolicyCard]) -> list[Row]:
@@ -65,7 +65,7 @@ def cell_rows(cards: list[PolicyCard]) -> list[Row]:
         cells[card.task, variant, card.n_agents, card.attention_entropy > 0].append(card)
     rows: list[Row] = []
     for (task, _, n_agents, regularised), group in sorted(cells.items()):
-        best = max(group, key=worth)
+        best = max(group, key=lambda card: selection_key(task, card.training["validation"]))
         row: Row = {"task": task, "agents": n_agents, "lambda": best.attention_entropy, "seeds": len(group)}
         for title, name in MEASURES.items():
             theirs = PAPER[task, n_agents].get(name)

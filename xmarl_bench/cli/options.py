@@ -16,8 +16,8 @@ Policies = Annotated[
     typer.Option(
         "--policy",
         help="Policy name, folder or zip of a bundle, module:factory, 'all', 'finished': all but checkpoints "
-        "along training, or 'default': the best seed of each task, team size and with or without "
-        "regulariser. Repeatable.",
+        "along training, a family ('residual', 'paper'), or 'default': the best residual seed of each task, "
+        "team size and with or without regulariser. Repeatable.",
     ),
 ]
 Explainers = Annotated[

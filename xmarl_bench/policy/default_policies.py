@@ -1,18 +1,28 @@
-"""The default policy of each cell: the best of the training seeds, by what the cards say they can do."""
+"""The default policy of each cell: the best of the training seeds, by how well they did their task in
+validation. No explanation has a part in it, and no episode that scoring plays."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-from xmarl_bench.policy import PolicyCard
+from xmarl_envs import TASKS
+
+from xmarl_bench.policy.bundle import PolicyCard
+
+DEFAULT_FAMILY = "residual"
 
 
-def worth(card: PolicyCard) -> tuple[float, float]:
-    """What the best is chosen by: success to two digits, then the rates of episodes without collisions."""
-    heard = card.performance["with_messages"]
-    free = [heard[name] for name in ("no_agent_collision", "no_object_collision") if heard[name] is not None]
-    return round(heard["success_rate"], 2), sum(free)
+def selection_key(task: str, seen: Mapping[str, float | None]) -> tuple[float, float]:
+    """What policies and moments of a training are chosen by, from task metrics; larger is better.
+
+    Success, plus the rates of episodes without collisions where the task punishes them; then the shorter
+    makespan.
+    """
+    counted = ["success_rate"]
+    if hasattr(TASKS[task], "collision_penalty"):
+        counted += ["no_agent_collision", "no_object_collision"]
+    return sum(seen[name] or 0.0 for name in counted), -(seen["makespan"] or 0.0)
 
 
 def is_checkpoint(card: PolicyCard) -> bool:
@@ -20,15 +30,15 @@ def is_checkpoint(card: PolicyCard) -> bool:
     return "percent" in card.training
 
 
-def is_final(card: PolicyCard) -> bool:
-    """Whether it is the end of a training, and was measured."""
-    return not is_checkpoint(card) and "with_messages" in card.performance
-
-
-def default_policies(cards: Iterable[PolicyCard]) -> list[PolicyCard]:
-    """One card per task, team size and with or without the attention-entropy term; the first of equals."""
+def default_policies(cards: Iterable[PolicyCard], family: str = DEFAULT_FAMILY) -> list[PolicyCard]:
+    """One card of the family per task, team size and with or without the attention-entropy term; the first
+    of equals. Checkpoints, and policies without a validation, stand for nothing."""
     cells: defaultdict[tuple[str, int, bool], list[PolicyCard]] = defaultdict(list)
     for card in cards:
-        if is_final(card):
+        if card.family == family and not is_checkpoint(card) and "validation" in card.training:
             cells[card.task, card.n_agents, card.attention_entropy > 0].append(card)
-    return [max(group, key=worth) for _, group in sorted(cells.items())]
+    return [max(group, key=_key) for _, group in sorted(cells.items())]
+
+
+def _key(card: PolicyCard) -> tuple[float, float]:
+    return selection_key(card.task, card.training["validation"])

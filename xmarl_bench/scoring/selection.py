@@ -31,24 +31,18 @@ def select_policies(
     """The policies to run, each with its cells.
 
     `all` policies are those trained for one of the tasks and team sizes asked for; those that bring code are
-    among them with `trust_code` only. `finished` are these but for checkpoints along training, `default` the
-    best seed of each of their cells. A policy asked for
-    by name, bundle or module:factory runs with every team size asked for, or with its own for `all`.
+    among them with `trust_code` only. `finished` are these but for checkpoints along training, the name of a
+    family those of the finished that belong to it, and `default` the best seed of each cell of the family
+    DEFAULT_FAMILY. A policy asked for by name, bundle or module:factory runs with every team size asked for,
+    or with its own for `all`.
     """
     sizes = _sizes(agents)
     for task in tasks:
         if task != ALL:
             check_task(task)
     wanted_tasks = list(TASKS) if ALL in tasks else list(tasks)
-    if {ALL, FINISHED, DEFAULT} & set(names):
-        cards = {name: load_card(folder) for name, folder in find_policies().items()}
-        if trust_code:
-            cards |= {name: open_policy(name, trust_code=True)[1] for name in find_code_policies()}
-        if ALL not in names:
-            cards = {name: card for name, card in cards.items() if not is_checkpoint(card)}
-        if ALL not in names and FINISHED not in names:
-            best = [card.name for card in default_policies(cards.values())]
-            cards = {name: card for name, card in cards.items() if card.name in best}
+    cards = _cards(names, trust_code)
+    if cards is not None:
         chosen = [
             name
             for name, card in cards.items()
@@ -80,6 +74,29 @@ def select_policies(
             check_fit(card, cell)
         selected.append((policy, card, cells))
     return selected
+
+
+def _cards(names: Sequence[str], trust_code: bool) -> dict[str, PolicyCard] | None:
+    """The cards that words for many policies mean, by name; None where each is named by itself."""
+    installed = find_policies()
+    if not set(names) - set(installed):
+        return None
+    found = {name: load_card(folder) for name, folder in installed.items()}
+    families = {card.family for card in found.values() if card.family is not None}
+    words = {ALL, FINISHED, DEFAULT, *families} & set(names)
+    if not words:
+        return None
+    if trust_code:
+        found |= {name: open_policy(name, trust_code=True)[1] for name in find_code_policies()}
+    if ALL in words:
+        return found
+    finished = {name: card for name, card in found.items() if not is_checkpoint(card)}
+    best = {card.name for card in default_policies(finished.values())} if DEFAULT in words else set()
+    return {
+        name: card
+        for name, card in finished.items()
+        if FINISHED in words or card.family in words or card.name in best
+    }
 
 
 def select_explainers(names: Sequence[str]) -> list[FoundExplainer]:

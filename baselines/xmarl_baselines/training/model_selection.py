@@ -20,6 +20,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from xmarl_baselines.training.mappo import MAPPO
 from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.policy.default_policies import selection_key
 from xmarl_bench.records.files import write_atomically, write_json
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import play
@@ -34,12 +35,6 @@ def plain_actor(model: MAPPO) -> GraphPolicy:
     actor = GraphPolicy(model.policy.actor.architecture)
     actor.load_state_dict(model.policy.actor.state_dict())
     return actor.eval()
-
-
-def selection_key(record: Record, care: float) -> tuple[float, float]:
-    """What makes one policy better than another: success plus `care` times the rate of episodes in which no
-    two agents touch; then the shorter makespan."""
-    return record["success_rate"] + care * record["no_agent_collision"], -record["makespan"]
 
 
 def weights_at(run: Path, record: Record) -> Path:
@@ -62,11 +57,9 @@ class ModelSelection(BaseCallback):
         *,
         every: int,
         after: float,
-        care: float,
     ) -> None:
         super().__init__()
         self._folder, self._cell, self._every, self._after = folder, cell, every, after
-        self._care = care
         self._last = 0
 
     def _on_training_start(self) -> None:
@@ -115,7 +108,7 @@ class ModelSelection(BaseCallback):
         """The best policy kept, and its record."""
         curve = self.curve()
         late = [record for record in curve if record["frames"] >= self._after] or curve[-1:]
-        record = max(late, key=lambda row: selection_key(row, self._care))
+        record = max(late, key=lambda row: selection_key(self._cell.task, row))
         return self.policy_at(record), record
 
     def policy_at(self, record: Record) -> GraphPolicy:

@@ -35,7 +35,6 @@ class Recipe:
     attention_ramp: float = 0.2  # ... whose weight then grows from 0 over this fraction
     shaping: Shaping = field(default_factory=Shaping)
     caution_growth: float = 1.0  # agent and proximity penalties at the end, relative to the start
-    care: float = 1.0  # model selection: what the collision-free rate counts, relative to success
     variant: str = ""  # goes into the names of runs in place of the family's
 
     def __post_init__(self) -> None:
@@ -127,7 +126,6 @@ RECIPES: dict[str, Recipe] = {
         gamma=0.995,
         ent_coef=2e-3,
         shaping=Shaping(landmark_progress=1.0),
-        care=0.0,
     ),
 }
 

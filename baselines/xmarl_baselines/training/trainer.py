@@ -119,7 +119,6 @@ def train(
         cell,
         every=run.recipe.frames // VALIDATIONS,
         after=run.regularised_from,
-        care=run.recipe.care,
     )
     keeper = _Keeper(folder, checkpoint_every, seconds, report)
     if frames < run.recipe.frames:

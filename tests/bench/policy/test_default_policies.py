@@ -1,4 +1,4 @@
-"""Which seed stands for a cell."""
+"""Which seed stands for a cell, and which policies a word means."""
 
 from __future__ import annotations
 
@@ -13,18 +13,35 @@ from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.scoring.selection import select_policies
 
 
-def card(name: str, success: float, free: float | None = 1.0, **fields: Any) -> PolicyCard:
-    heard = {"success_rate": success, "no_agent_collision": free, "no_object_collision": None}
+def card(name: str, success: float, free: float = 1.0, makespan: float = 100.0, **fields: Any) -> PolicyCard:
+    seen = {
+        "success_rate": success,
+        "no_agent_collision": free,
+        "no_object_collision": None,
+        "makespan": makespan,
+    }
     record: dict[str, Any] = {
-        "task": "blind_navigation_v0", "n_agents": 3, "attention_entropy": 0.0,
-        "performance": {"with_messages": heard}, **fields,
+        "task": "blind_navigation_v0", "n_agents": 3, "attention_entropy": 0.0, "family": "residual",
+        "training": {"validation": seen}, **fields,
     }  # fmt: skip
     return PolicyCard(name=name, architecture=small_policy(6).architecture, weights_sha256="0" * 64, **record)
 
 
-def test_success_to_two_digits_comes_first_then_collisions() -> None:
-    cards = [card("a", 0.92, 1.0), card("b", 0.981, 0.5), card("c", 0.979, 0.7), card("d", 0.98, 0.7)]
+def test_success_and_collisions_together_then_the_makespan() -> None:
+    cards = [card("a", 1.0, 0.6), card("b", 0.98, 0.95, 80), card("c", 0.97, 0.96, 70), card("d", 0.9, 1.0)]
     assert [each.name for each in default_policies(cards)] == ["c"]
+
+
+def test_discovery_punishes_no_collision() -> None:
+    cards = [card(name, *seen, task="blind_discovery_v0") for name, seen in
+             {"bold": (0.95, 0.2), "shy": (0.94, 0.9)}.items()]  # fmt: skip
+    assert [each.name for each in default_policies(cards)] == ["bold"]
+
+
+def test_performance_on_the_episodes_of_scoring_has_no_part_in_it() -> None:
+    heard = {"success_rate": 1.0, "no_agent_collision": 1.0, "no_object_collision": None}
+    cards = [card("validated", 0.9), card("lucky", 0.8, performance={"with_messages": heard})]
+    assert [each.name for each in default_policies(cards)] == ["validated"]
 
 
 def test_one_for_each_task_team_size_and_regulariser() -> None:
@@ -33,26 +50,28 @@ def test_one_for_each_task_team_size_and_regulariser() -> None:
         card("regularised", 0.5, attention_entropy=0.1),
         card("stronger", 0.6, attention_entropy=10.0),
         card("larger", 0.1, n_agents=4),
-        card("elsewhere", 0.1, None, task="blind_discovery_v0"),
+        card("elsewhere", 0.1, task="blind_discovery_v0"),
     ]
     names = {each.name for each in default_policies(cards)}
     assert names == {"plain", "stronger", "larger", "elsewhere"}
 
 
-def test_checkpoints_and_unmeasured_policies_stand_for_nothing() -> None:
-    cards = [card("checkpoint", 1.0, training={"percent": 20}), card("unmeasured", 1.0, performance={})]
-    assert default_policies(cards) == []
+def test_checkpoints_other_families_and_unvalidated_policies_stand_for_nothing() -> None:
+    checkpoint = card("checkpoint", 1.0)
+    checkpoint = checkpoint.model_copy(update={"training": {**checkpoint.training, "percent": 20}})
+    others = [card("paper's", 1.0, family="paper"), card("a stranger", 1.0, family=None)]
+    assert default_policies([checkpoint, *others, card("unvalidated", 1.0, training={})]) == []
 
 
-def test_finished_are_all_but_checkpoints() -> None:
-    every, finished = (
-        {card.name for _, card, _ in select_policies([name], ["all"], ["all"])}
-        for name in ("all", "finished")
-    )
-    checkpoints = every - finished
-    assert checkpoints == {name for name in every if "-at" in name}
-    assert len(checkpoints) == 8
-    assert finished < every
+def names_of(word: str) -> set[str]:
+    return {card.name for _, card, _ in select_policies([word], ["all"], ["all"])}
+
+
+def test_finished_are_all_but_checkpoints_and_families_are_parts_of_them() -> None:
+    every, finished, residual = (names_of(word) for word in ("all", "finished", "residual"))
+    assert every - finished == {name for name in every if "-at" in name}
+    assert residual == {name for name in finished if "-residual-" in name}
+    assert names_of("default") < residual
 
 
 def test_default_among_the_shipped_ones() -> None:

@@ -131,6 +131,7 @@ def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Perform
                 "no wall contact": both("no_object_collision", 2),
                 "makespan": both("makespan", 0),
                 "reward": both("reward", 2),
+                "messages help": "yes" if each.messages_help else "no",
                 "attention entropy": "-"
                 if each.attention_entropy is None
                 else f"{each.attention_entropy:.2f}",

@@ -13,10 +13,11 @@ from xmarl_envs import TASKS
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import attention_entropy
+from xmarl_bench.metrics.statistics import paired_bootstrap
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.policy import Policy
-from xmarl_bench.reproducible import one_thread
+from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout.cell import BLOCK, Cell, Sampling
 from xmarl_bench.rollout.episodes import Episode, Rollout, check_parallel, mean_metrics
 
@@ -32,8 +33,15 @@ class Performance:
     max_cycles: int
     with_messages: dict[str, float | None]
     without_messages: dict[str, float | None]  # F(identity): every agent hears itself only
+    # Success and reward with messages minus without, paired by episode: {metric: {value, low, high}}, 95 %.
+    messages_gain: dict[str, dict[str, float]]
     # nats, over the episodes with messages; log N is attention to all alike, None that nothing attends
     attention_entropy: float | None
+
+    @property
+    def messages_help(self) -> bool:
+        """Whether success or reward is higher with messages, by an interval that excludes 0."""
+        return any(gain["low"] > 0.0 for gain in self.messages_gain.values())
 
     def record(self) -> dict[str, Any]:
         """As a policy card holds it, under `performance`."""
@@ -82,10 +90,19 @@ def evaluate(
                 max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
                 with_messages=mean_metrics(cell.task, heard),
                 without_messages=mean_metrics(cell.task, unheard),
+                messages_gain={name: _gain(name, heard, unheard) for name in ("success_rate", "reward")},
                 attention_entropy=_attention_entropy(policy, heard),
             )
         )
     return performances
+
+
+def _gain(name: str, heard: Sequence[Episode], unheard: Sequence[Episode]) -> dict[str, float]:
+    a, b = ([getattr(episode, name) for episode in episodes] for episodes in (heard, unheard))
+    gain = paired_bootstrap(a, b, np.random.default_rng(derived_seed("messages gain", name)))
+    assert gain.value is not None
+    low, high = gain.interval or (gain.value, gain.value)
+    return {"value": gain.value, "low": low, "high": high}
 
 
 def _attention_entropy(policy: Policy, episodes: Sequence[Episode]) -> float | None:

@@ -59,7 +59,7 @@ def test_one_for_each_task_team_size_and_regulariser() -> None:
 def test_checkpoints_other_families_and_unvalidated_policies_stand_for_nothing() -> None:
     checkpoint = card("checkpoint", 1.0)
     checkpoint = checkpoint.model_copy(update={"training": {**checkpoint.training, "percent": 20}})
-    others = [card("paper's", 1.0, family="paper"), card("a stranger", 1.0, family=None)]
+    others = [card("of-the-paper", 1.0, family="paper"), card("stranger", 1.0, family=None)]
     assert default_policies([checkpoint, *others, card("unvalidated", 1.0, training={})]) == []
 
 

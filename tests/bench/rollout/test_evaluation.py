@@ -13,7 +13,7 @@ from tests.policies import small_policy
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
-from xmarl_bench.rollout.evaluation import evaluate, evaluate_policy
+from xmarl_bench.rollout.evaluation import Performance, evaluate, evaluate_policy
 
 
 def test_means_are_those_of_the_episodes() -> None:
@@ -25,7 +25,21 @@ def test_means_are_those_of_the_episodes() -> None:
     for means, episodes in ((performance.with_messages, heard), (performance.without_messages, unheard)):
         assert means["reward"] == pytest.approx(np.mean([episode.reward for episode in episodes]))
         assert means["no_object_collision"] is not None
-    assert performance.with_messages["reward"] != performance.without_messages["reward"]
+    gain = performance.messages_gain["reward"]
+    difference = np.mean([a.reward - b.reward for a, b in zip(heard, unheard, strict=True)])
+    assert gain["value"] == pytest.approx(difference)
+    assert gain["low"] <= gain["value"] <= gain["high"]
+    assert difference != 0.0
+
+
+@pytest.mark.parametrize(("low", "helps"), [(-0.1, False), (0.0, False), (0.01, True)])
+def test_messages_help_where_the_interval_excludes_zero(low: float, helps: bool) -> None:
+    gain = {
+        "success_rate": {"value": 0.2, "low": low, "high": 0.4},
+        "reward": {"value": 0, "low": -1, "high": 1},
+    }
+    performance = Performance("blind_passage_v0", 3, 50, 0, 300, {}, {}, gain, None)
+    assert performance.messages_help is helps
 
 
 def test_parallel_episodes_change_nothing() -> None:
@@ -52,3 +66,5 @@ def test_a_policy_that_hears_nobody_performs_the_same() -> None:
         policy.gat.lin_l.bias.zero_()
     (performance,) = evaluate([(policy, Cell("blind_navigation_v0", 3))], Sampling(episodes=2, max_cycles=5))
     assert performance.with_messages == performance.without_messages
+    assert performance.messages_gain["reward"] == {"value": 0.0, "low": 0.0, "high": 0.0}
+    assert not performance.messages_help

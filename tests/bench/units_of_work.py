@@ -29,10 +29,11 @@ def process(number: int) -> int:
 def process_beside_another(folder: str) -> int:
     """This process, once another one has come to the folder too: however slowly it starts."""
     (Path(folder) / str(os.getpid())).touch()
-    until = time.monotonic() + 60
+    until = time.monotonic() + 120
     while len(list(Path(folder).iterdir())) < 2:
         if time.monotonic() > until:
             (Path(folder) / "nobody").touch()  # no later unit waits again
+            raise TimeoutError("no second process has computed a unit within 120 s")
         time.sleep(0.01)
     return os.getpid()
 
@@ -93,16 +94,21 @@ def kill_worker_once(unit: tuple[Rollout, Path | None]) -> list[Episode]:
     return rollout.play()
 
 
-def sleep_long(mark: str) -> None:
-    """The file named says that it has begun."""
-    Path(mark).touch()
-    time.sleep(600)
+def square_and_process(number: int) -> tuple[int, int]:
+    return number * number, os.getpid()
+
+
+def hold(fifo: str) -> None:
+    """Writes this process's id to the pipe named, a line, and holds it open until the process ends."""
+    pipe = os.open(fifo, os.O_WRONLY)
+    os.write(pipe, b"%d\n" % os.getpid())
+    signal.pause()
 
 
 def started_and_ended(number: int) -> tuple[float, float]:
-    started = time.time()
+    started = time.monotonic()  # one clock for all processes of a machine
     time.sleep(0.05)
-    return started, time.time()
+    return started, time.monotonic()
 
 
 def some_rollouts() -> list[Rollout]:

@@ -37,7 +37,7 @@ Jobs = Annotated[
 ]
 Backend = Annotated[
     Literal["loky", "ray", "dask"],
-    typer.Option(help="Where processes run: loky's on this machine, Ray's or Dask's on a cluster."),
+    typer.Option(help="Where processes run: on this machine (loky), or on a cluster of Ray or Dask."),
 ]
 Address = Annotated[
     str | None,

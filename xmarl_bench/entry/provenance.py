@@ -13,7 +13,7 @@ from pathlib import Path
 from xmarl_bench.entry.schema import Provenance
 from xmarl_bench.origin.installed import package_version
 
-PACKAGES = ("joblib", "numpy", "pettingzoo", "pydantic", "pymunk", "safetensors", "torch", "torch-geometric")
+PACKAGES = ("loky", "numpy", "pettingzoo", "pydantic", "pymunk", "safetensors", "torch", "torch-geometric")
 
 
 def now() -> str:

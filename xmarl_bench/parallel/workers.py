@@ -12,7 +12,7 @@ BackendName = Literal["loky", "ray", "dask"]
 
 @dataclass(frozen=True)
 class Workers:
-    """Where units of work run. It changes no result. Raises InputError for what is none."""
+    """Where units of work run. It changes no result. Raises InputError if the values are invalid."""
 
     jobs: int | None = None  # processes; None: one on this machine, every worker of a cluster
     backend: BackendName = "loky"

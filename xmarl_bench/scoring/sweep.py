@@ -161,7 +161,7 @@ class Sweep:
             yield from self._explain(again)
 
     def _hand(self, group: Group) -> Handed:
-        """Never raises: it is called wherever the next unit is wanted, in threads of joblib too."""
+        """Never raises: it is called wherever the next unit is wanted, not where a unit fails."""
         piece = group[0]
         load: Load
         try:

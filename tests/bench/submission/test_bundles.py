@@ -189,7 +189,7 @@ def test_validating_waits_for_no_torch(
     code = (
         "import sys; from xmarl_bench.cli.main import main\n"
         "try:\n    main()\nexcept SystemExit as stopped:\n    code = stopped.code\n"
-        "waited = {'torch', 'torch_geometric', 'scipy', 'joblib'} & sys.modules.keys()\n"
+        "waited = {'torch', 'torch_geometric', 'scipy', 'loky'} & sys.modules.keys()\n"
         "sys.exit(f'waited for {waited}' if waited else code)"
     )
     for paths, exit_code in (([entry, bundle], 0), ([broken], 1)):

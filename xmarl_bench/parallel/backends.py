@@ -1,0 +1,184 @@
+"""Where units of work run: processes of loky on this machine, or a cluster of Ray or Dask.
+
+Each is one `submit(function, *args) -> concurrent.futures.Future`, through public interfaces alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import BrokenExecutor, Future
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.parallel.workers import Workers
+
+CONNECT_SECONDS = 20.0  # for a cluster to answer
+WORKER_SECONDS = 60.0  # for the first worker of a cluster to be there
+IDLE_SECONDS = 300.0  # after which a process of loky ends
+RAY_STORE_BYTES = 200 * 2**20  # shared memory of a Ray that is started here; results pass through it
+LIBRARIES = ("OMP_NUM", "MKL_NUM", "OPENBLAS_NUM", "BLIS_NUM", "VECLIB_MAXIMUM", "NUMBA_NUM", "NUMEXPR_NUM")
+ONE_THREAD = {f"{library}_THREADS": "1" for library in LIBRARIES}  # workers do not fight for cores
+
+
+@dataclass(frozen=True)
+class Backend:
+    """Workers that are ready."""
+
+    submit: Callable[..., Future[Any]]
+    kill: Callable[[Iterable[Future[Any]]], object]  # stops what is under way
+    deaths: tuple[type[BaseException], ...]  # what a future raises if its worker died
+    n_workers: int
+
+
+@contextmanager
+def connected(workers: Workers) -> Iterator[Backend]:
+    """The workers, until the end of the block. Raises InputError if they are not available."""
+    name, address = workers.backend, workers.address
+    start, needed = {"loky": (_loky, "loky"), "ray": (_ray, "ray"), "dask": (_dask, "distributed")}[name]
+    if find_spec(needed) is None:
+        raise InputError(f"backend {name} needs the package {needed}: pip install 'xmarl-bench[{name}]'.")
+    if address is not None and address != "auto":  # Ray's word for the cluster of this machine
+        host, _, port = address.rpartition("://")[2].rpartition(":")
+        if not host or not port.isdigit():
+            raise InputError(f"address {address} is invalid: give host:port of the {name} cluster.")
+        with _answering(workers, OSError):  # clients would try for minutes
+            socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
+    with start(workers) as backend:
+        yield backend
+
+
+@contextmanager
+def _answering(workers: Workers, *errors: type[Exception]) -> Iterator[None]:
+    try:
+        yield
+    except errors as error:
+        raise InputError(
+            f"no {workers.backend} cluster answers at {workers.address} ({' '.join(str(error).split())}): "
+            f"start one, or correct that."
+        ) from error
+
+
+@contextmanager
+def _loky(workers: Workers) -> Iterator[Backend]:
+    """Processes of this machine, kept between calls."""
+    from loky import get_reusable_executor
+    from loky.process_executor import ShutdownExecutorError
+
+    n_workers = workers.jobs or os.cpu_count() or 1
+    deaths = (BrokenExecutor, ShutdownExecutorError)
+
+    def pool() -> Any:
+        """Another one if a worker died: loky then ends the others."""
+        return get_reusable_executor(
+            n_workers, timeout=IDLE_SECONDS, env=ONE_THREAD, initializer=_end_with, initargs=(os.getpid(),)
+        )
+
+    def submit(function: Callable[..., Any], *args: object) -> Any:
+        try:
+            return pool().submit(function, *args)
+        except deaths:  # in this very moment
+            return pool().submit(function, *args)
+
+    def kill(_: object) -> None:
+        pool().shutdown(wait=True, kill_workers=True)
+
+    with warnings.catch_warnings():
+        # Loky replaces a worker whose memory has grown by 300 MB, between two units: that loses nothing.
+        warnings.filterwarnings("ignore", message="A worker (stopped|was restarted) while some jobs")
+        yield Backend(submit, kill, deaths, n_workers)
+
+
+def _end_with(parent: int) -> None:
+    """End this process when its parent has ended in any way: workers of loky would go on."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _ray(workers: Workers) -> Iterator[Backend]:
+    """Tasks of one core each, never repeated by Ray. A process that is connected already stays connected."""
+    import ray
+    from ray.exceptions import NodeDiedError, ObjectLostError, OutOfMemoryError, RayError, WorkerCrashedError
+
+    remote = ray.remote(num_cpus=1, max_retries=0)(_call)
+    references: WeakKeyDictionary[Future[Any], Any] = WeakKeyDictionary()
+
+    def submit(function: Callable[..., Any], *args: object) -> Future[Any]:
+        reference = remote.remote(function, *args)
+        future: Future[Any] = reference.future()
+        references[future] = reference
+        return future
+
+    def kill(under_way: Iterable[Future[Any]]) -> None:
+        for future in under_way:
+            if not future.done():
+                ray.cancel(references[future], force=True)
+
+    connect = not ray.is_initialized()
+    if connect:
+        here: dict[str, Any] = {"num_cpus": workers.jobs, "include_dashboard": False}
+        here = {} if workers.address else {**here, "object_store_memory": RAY_STORE_BYTES}
+        with _answering(workers, ConnectionError, RayError, RuntimeError, TimeoutError, ValueError):
+            ray.init(workers.address or "local", logging_level=logging.ERROR, log_to_driver=False, **here)
+    try:
+        deaths = (WorkerCrashedError, OutOfMemoryError, NodeDiedError, ObjectLostError)
+        yield Backend(submit, kill, deaths, int(ray.cluster_resources().get("CPU", 1)))
+    finally:
+        if connect:
+            ray.shutdown()
+
+
+def _call(function: Callable[..., Any], *args: object) -> object:
+    return function(*args)
+
+
+@contextmanager
+def _dask(workers: Workers) -> Iterator[Backend]:
+    """Tasks on workers of one thread: units set the seeds of their whole process."""
+    import dask
+    from distributed import Client, KilledWorker
+
+    here: dict[str, Any] = {"n_workers": workers.jobs or os.cpu_count() or 1, "threads_per_worker": 1}
+    here = {} if workers.address else {**here, "dashboard_address": None, "silence_logs": logging.CRITICAL}
+    # We count retries ourselves; on clusters that run the scheduler's own setting holds.
+    ours = {"distributed.scheduler.allowed-failures": 0, "scheduler-address": None}
+    with dask.config.set(ours), _answering(workers, OSError, TimeoutError, ValueError):
+        client = Client(workers.address, timeout=CONNECT_SECONDS, set_as_default=False, **here)
+    with client:
+        executor = client.get_executor(pure=False)
+        n_workers = _count_dask(client, workers)
+        yield Backend(executor.submit, lambda _: executor.shutdown(wait=False), (KilledWorker,), n_workers)
+
+
+def _count_dask(client: Any, workers: Workers) -> int:
+    """Workers of the cluster. Raises InputError if none comes in time, or if one has several threads."""
+    try:
+        client.wait_for_workers(1, timeout=WORKER_SECONDS)
+    except TimeoutError:
+        raise InputError(
+            f"the Dask cluster at {workers.address} has no worker after {WORKER_SECONDS:.0f} s: "
+            f"start some with `dask worker {workers.address} --nthreads 1`."
+        ) from None
+    threads: dict[str, int] = client.nthreads()
+    for name, n_threads in threads.items():
+        if n_threads != 1:
+            raise InputError(
+                f"the Dask worker {name} has {n_threads} threads, and each unit needs a process of its "
+                f"own: start workers with --nthreads 1 --nworkers N."
+            )
+    return len(threads)

@@ -7,17 +7,14 @@ reads a `Request` as a JSON object a line, and writes an `Answer` for each.
 
 from __future__ import annotations
 
-import contextlib
 import json
+import multiprocessing
 import os
 import signal
 import sys
 import tempfile
-import time
-from pathlib import Path
 from typing import IO, NoReturn, TypedDict
 
-import psutil
 import pytest
 import scipy.stats  # noqa: F401
 
@@ -30,65 +27,69 @@ class Request(TypedDict, total=False):
     command: list[str]  # "xmarl-bench" or "pytest", and its arguments
     folder: str  # where it runs
     site: str  # packages beside those that are installed
-    victim: str  # "main" or "worker": whom to kill, once
-    kill_after: float  # seconds
-    kill_at: tuple[str, int]  # when so many results are in this folder
+    touched: str  # count accesses to files in this folder, by the main process
+    victim: str  # "main" or "worker": which process to kill
+    kill_at: int  # before this access, counted from 0
 
 
 class Answer(TypedDict):
     code: int
     out: str
     err: str
-    seconds: float
+    touches: int  # accesses to files in the folder
     killed: bool
 
 
-def child(request: Request, out: IO[bytes], err: IO[bytes]) -> NoReturn:
+def child(request: Request, out: IO[bytes], err: IO[bytes], log: IO[bytes]) -> NoReturn:
     """Ends as a program does, with all that it has started: SystemExit goes through."""
     os.dup2(out.fileno(), 1)
     os.dup2(err.fileno(), 2)
     os.chdir(request.get("folder", "."))
     sys.path[:0] = [request["site"]] if "site" in request else []
     sys.argv = request["command"]
+    if "touched" in request:
+        watch(request, log)
     sys.exit({"xmarl-bench": cli.main, "pytest": pytest.console_main}[sys.argv[0]]())
 
 
-def is_time_to_kill(request: Request, seconds: float) -> bool:
-    if "kill_at" in request:
-        cells, n_results = request["kill_at"]
-        return len(list(Path(cells).glob("??/[!.]*"))) >= n_results
-    return "kill_after" in request and seconds >= request["kill_after"]
+def watch(request: Request, log: IO[bytes]) -> None:
+    """Log each access of this process to the folder as a dot, and kill the victim, once, at the access asked
+    for: `K`. A worker is killed at a later one if there is none yet."""
+    process, touches, killed = os.getpid(), 0, False
+
+    def seen(event: str, arguments: tuple[object, ...]) -> None:
+        nonlocal touches, killed
+        touching = event == "open" or event.startswith(("os.", "shutil."))
+        if not touching or os.getpid() != process or not str(arguments[:1]).count(request["touched"]):
+            return
+        if not killed and touches >= request.get("kill_at", sys.maxsize):
+            victims = [process] if request["victim"] == "main" else worker_processes()
+            killed = bool(victims)
+            for victim in victims[:1]:
+                os.write(log.fileno(), b"K")
+                os.kill(victim, signal.SIGKILL)
+        touches += 1
+        os.write(log.fileno(), b".")
+
+    sys.addaudithook(seen)
 
 
-def kill(pid: int, victim: str) -> bool:
-    """Kill the run itself, or the first process that it has started to compute; False where there is none."""
-    with contextlib.suppress(psutil.NoSuchProcess):  # it has ended, and may not have been waited for
-        run = psutil.Process(pid)
-        workers = [run] if victim == "main" else run.children()
-        for each in workers:
-            if victim == "main" or "LokyProcess" in " ".join(each.cmdline()):
-                each.send_signal(signal.SIGKILL)
-                return True
-    return False
+def worker_processes() -> list[int]:
+    return [each.pid for each in multiprocessing.active_children() if each.pid is not None]
 
 
 def serve(request: Request) -> Answer:
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        started, killed, done = time.monotonic(), False, 0
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err, tempfile.TemporaryFile() as log:
         pid = os.fork()
         if pid == 0:
-            child(request, out, err)
-        while not done:
-            time.sleep(0.002)
-            done, status = os.waitpid(pid, os.WNOHANG)
-            seconds = time.monotonic() - started
-            if not done and not killed and is_time_to_kill(request, seconds):
-                killed = kill(pid, request.get("victim", "main"))
-        out.seek(0)
-        err.seek(0)
+            child(request, out, err, log)
+        _, status = os.waitpid(pid, 0)
+        for file in (out, err, log):
+            file.seek(0)
+        seen = log.read()
         return {
             "code": os.waitstatus_to_exitcode(status), "out": out.read().decode(), "err": err.read().decode(),
-            "seconds": seconds, "killed": killed,
+            "touches": seen.count(b"."), "killed": b"K" in seen,
         }  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """A sweep that is killed at any moment and run again writes what an undisturbed one writes, byte for byte.
 
-XMARL_BENCH_KILLS=50 python -m pytest tests/bench/sweep/test_survival.py kills it at so many moments.
+It is killed right before an access to one of its files. XMARL_BENCH_KILLS=50 python -m pytest
+tests/bench/scoring/test_survival.py kills it at so many of them.
 """
 
 from __future__ import annotations
@@ -45,13 +46,12 @@ class Sweep:
     arguments: tuple[str, ...]
     board: bytes
     entry_ids: list[str]
-    n_results: int
-    seconds: float
+    touches: int  # accesses to its files
 
     @staticmethod
-    def request(arguments: tuple[str, ...], out: Path, cells: Path, jobs: int) -> Request:
-        folders = ("--out", str(out), "--cells", str(cells), "--jobs", str(jobs))
-        return {"command": ["xmarl-bench", "score", *arguments, *folders]}
+    def request(arguments: tuple[str, ...], folder: Path, jobs: int) -> Request:
+        options = ("--out", str(folder / "out"), "--cells", str(folder / "cells"), "--jobs", str(jobs))
+        return {"command": ["xmarl-bench", "score", *arguments, *options], "touched": str(folder)}
 
 
 @pytest.fixture(scope="module")
@@ -71,14 +71,16 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sweep]:
         policy = small_policy(len(TASKS[TASK].observation_names), seed)
         save_policy(folder / name, policy, name=name, task=TASK, n_agents=3, attention_entropy=0.5)
         arguments += ["--policy", str(folder / name)]
-    out, cells = folder / "out", folder / "cells"
+    folder /= "run"
+    out = folder / "out"
     with forks() as ask:
-        whole = ask(Sweep.request(tuple(arguments), out, cells, jobs=1))
+        whole = ask(Sweep.request(tuple(arguments), folder, jobs=1))
         assert whole["code"] == 0, whole["err"]
         ids = [entry.entry_id for _, entry in read_entries(out / "entries")]
         assert len(ids) == 4
         board = (out / "leaderboard.json").read_bytes()
-        yield Sweep(ask, tuple(arguments), board, ids, len(results(cells)), whole["seconds"])
+        assert whole["touches"] > 100
+        yield Sweep(ask, tuple(arguments), board, ids, whole["touches"])
 
 
 @pytest.mark.parametrize(
@@ -96,13 +98,10 @@ def test_killed_at_any_moment(victim: str, jobs: int, kills: int, sweep: Sweep, 
     rng, struck, finished = np.random.default_rng(0), 0, 0
     while struck < kills or not finished:
         before = results(cells)
-        request = Sweep.request(sweep.arguments, out, cells, jobs)
+        request = Sweep.request(sweep.arguments, tmp_path, jobs)
         if struck < kills:
             request["victim"] = victim
-            if jobs == 1:
-                request["kill_after"] = float(rng.uniform(0.0, sweep.seconds))
-            else:  # nearly all of the time passes before workers have imported what they need
-                request["kill_at"] = str(cells), int(rng.integers(sweep.n_results))
+            request["kill_at"] = int(rng.integers(sweep.touches))
         done = sweep.ask(request)
         struck += done["killed"]
         after = results(cells)

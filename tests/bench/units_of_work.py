@@ -94,6 +94,17 @@ def kill_worker_once(unit: tuple[Rollout, Path | None]) -> list[Episode]:
     return rollout.play()
 
 
+def square_behind(unit: tuple[int, Path]) -> int:
+    """All numbers but 0 wait for the file to be there."""
+    number, gate = unit
+    until = time.monotonic() + 120
+    while number and not gate.exists():
+        if time.monotonic() > until:
+            raise TimeoutError(f"nobody made {gate} within 120 s")
+        time.sleep(0.01)
+    return number * number
+
+
 def square_and_process(number: int) -> tuple[int, int]:
     return number * number, os.getpid()
 

@@ -52,13 +52,21 @@ def test_others_may_use_loky_before_and_after() -> None:
         assert dict(fan_out(units_of_work.square, [k, k], workers=TWO)) == {0: k * k, 1: k * k}
 
 
-def test_two_at_a_time_share_the_workers() -> None:
-    first = fan_out(units_of_work.square_and_process, range(20), workers=TWO)
-    before = next(first)
-    second = fan_out(units_of_work.square, range(20), workers=TWO)
-    next(second)
-    second.close()  # type: ignore[attr-defined]  # kills the workers of the first, which tries again
-    assert sorted((k, square) for k, (square, _) in [before, *first]) == [(k, k * k) for k in range(20)]  # type: ignore[misc]
+def test_one_that_ends_early_costs_another_nothing(tmp_path: Path) -> None:
+    """Both use the same workers, which the end of one kills; the other's units are tried again."""
+
+    def broken() -> Iterator[int]:
+        yield 1
+        raise InputError("no more of them.")
+
+    gate = tmp_path / "gate"
+    other = fan_out(units_of_work.square_behind, [(k, gate) for k in range(9)], workers=TWO)
+    returned = [next(other)]  # the first passes; all others wait
+    with pytest.raises(InputError, match="no more of them"):
+        next(fan_out(units_of_work.square, broken(), workers=TWO))
+    gate.touch()
+    returned += other
+    assert sorted(returned) == [(k, k * k) for k in range(9)]
 
 
 @BOTH

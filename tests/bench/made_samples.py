@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Cell, Term
-from xmarl_bench.papers.kailas2025.samples import Floats, Place, Run, Samples, Scored
+from xmarl_bench.papers.kailas2025.claims import Cell, Term
+from xmarl_bench.papers.kailas2025.samples import KEPT, Floats, Place, Run, Samples, Scored
 
 SEEDS = (0, 1, 2)
 Level = Callable[[Cell, str, bool, str], float]  # cell, explainer, regularised, metric -> mean
@@ -26,8 +26,7 @@ def made_samples(
                 for name in names:
                     own = 0.1 * noise * rng.standard_normal(episodes)
                     values: dict[str, Floats] = {
-                        metric: level(cell, name, regularised, metric) + shared + own
-                        for metric in ORIENTATION
+                        metric: level(cell, name, regularised, metric) + shared + own for metric in KEPT
                     }
                     scored = Scored(f"{cell.label} {regularised} {seed}", values)
                     known = samples.scored.setdefault((Place.of(cell, Term(name)), name), {})

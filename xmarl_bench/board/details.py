@@ -7,16 +7,13 @@ from typing import Any
 from xmarl_bench.board.budgets import curves_of
 from xmarl_bench.board.columns import COLUMNS
 from xmarl_bench.board.command import command_of
-from xmarl_bench.entry.schema import BehaviourRow, CellResult, Entry, EpisodeRow, ExplanationRow
+from xmarl_bench.entry.schema import CellResult, Entry
 from xmarl_bench.explain.controls import INVERTED
+from xmarl_bench.metrics.table import Group, names_of
 
 DIGITS = 4  # significant; `leaderboard.json` has them all
 # Metrics that the charts show by episode: of the explanation, not of the policy.
-EPISODE_METRICS = tuple(
-    name
-    for name in EpisodeRow.model_fields
-    if name in {**ExplanationRow.model_fields, **BehaviourRow.model_fields}
-)
+EPISODE_METRICS = names_of(Group.BEHAVIOUR, Group.EXPLANATION)
 Json = dict[str, Any]
 Details = dict[tuple[str, int, int], Json]  # by task, team size and max cycles
 

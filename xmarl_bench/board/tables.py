@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from xmarl_bench.board.columns import COLUMNS, GATE, ORDER, PAPER, POLICY_METRICS, UNSHOWN
+from xmarl_bench.board.columns import GATE, ORDER, PAPER, POLICY_METRICS
 from xmarl_bench.board.gate import shut_gate
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
 from xmarl_bench.explain.controls import INVERTED
+from xmarl_bench.metrics.table import OF_EXPLAINERS, names_of
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.reproducible import derived_seed
 
@@ -154,7 +155,7 @@ _UNRANKED: Json = {"rank": None, "rank_interval": None, "tie_group": None}
 
 def _shown(metrics: Metrics | ControlMetrics) -> Json:
     dumped = metrics.model_dump(mode="json")
-    return {name: dumped.get(name) for name in (*COLUMNS, *UNSHOWN)}
+    return {name: dumped.get(name) for name in names_of(*OF_EXPLAINERS)}
 
 
 def _gate(metrics: Metrics) -> str | None:

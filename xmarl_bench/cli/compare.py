@@ -20,7 +20,7 @@ def compare(
     ],
     metric: Annotated[
         list[str] | None,
-        typer.Option(help="What to compare by, comm_budgeted_fidelity by default. Repeatable."),
+        typer.Option(help="What to compare by, the order of the leaderboard by default. Repeatable."),
     ] = None,
     entries: Annotated[Path, typer.Option(help="Folder where explainers' names are looked up.")] = Path(
         "leaderboard/entries"
@@ -36,11 +36,12 @@ def compare(
     from xmarl_bench.compare.comparison import records
     from xmarl_bench.compare.matching import blocks_of, read_named
     from xmarl_bench.compare.picture import check_picture, draw
+    from xmarl_bench.metrics.table import ORDER
 
     if plot is not None:
         check_picture(plot)
     blocks = blocks_of(read_named(entry, entries))
-    comparisons = [run(blocks, each) for each in dict.fromkeys(metric or ["comm_budgeted_fidelity"])]
+    comparisons = [run(blocks, each) for each in dict.fromkeys(metric or [ORDER])]
     if plot is not None:
         draw(comparisons, plot)
     if as_json:

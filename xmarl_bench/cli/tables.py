@@ -17,6 +17,7 @@ from xmarl_bench.board import ORDER, board_of
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.metrics.table import OF_EXPLAINERS, SUCCESS, Group, Metric, columns_of
 from xmarl_bench.plugins.registry import explainer_names, find_explainer, registered_policies
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.bundle import load_card
@@ -26,19 +27,10 @@ from xmarl_bench.scoring.score import Failed
 
 Row = dict[str, Any]
 Outcome = TypeVar("Outcome")
-# Heading -> metric; "" is the interval of the metric that rows are ordered by.
 _POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_seed", "success", "code")
+# Heading -> metric. The first is the order, its interval stands beside it.
 SCORE_COLUMNS = {
-    "comm. budgeted": "comm_budgeted_fidelity",
-    "95 %": "",
-    "budgeted": "budgeted_fidelity",
-    "Fid+": "fid_plus",
-    "Fid-": "fid_minus",
-    "FidDelta": "fid_delta",
-    "GEF": "gef",
-    "mass": "mask_mass",
-    "success on it": "success_on_explanation",
-    "on the rest": "success_on_complement",
+    metric.short: metric.name for metric in columns_of(*OF_EXPLAINERS) if metric.short is not None
 }
 
 
@@ -79,7 +71,7 @@ def policies() -> tuple[list[Row], list[InputError]]:
                 "n_agents": card.n_agents,
                 "attention_entropy": card.attention_entropy,
                 "training_seed": card.training_seed,
-                "success": measured.get("success_rate") if isinstance(measured, dict) else None,
+                "success": measured.get(SUCCESS) if isinstance(measured, dict) else None,
                 "code": None,
             }
         )
@@ -116,9 +108,9 @@ def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Perform
     rows = []
     for card, each in zip(cards, performances, strict=True):
 
-        def both(metric: str, digits: int, each: Performance = each) -> str:
-            values = (each.with_messages[metric], each.without_messages[metric])
-            return " / ".join("-" if value is None else f"{value:.{digits}f}" for value in values)
+        def both(metric: Metric, each: Performance = each) -> str:
+            values = (each.with_messages[metric.name], each.without_messages[metric.name])
+            return " / ".join("-" if value is None else f"{value:.{metric.digits}f}" for value in values)
 
         rows.append(
             {
@@ -126,11 +118,7 @@ def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Perform
                 "task": each.task,
                 "agents": each.n_agents,
                 "lambda": card.attention_entropy,
-                "success": both("success_rate", 2),
-                "no agent collision": both("no_agent_collision", 2),
-                "no wall contact": both("no_object_collision", 2),
-                "makespan": both("makespan", 0),
-                "reward": both("reward", 2),
+                **{metric.short or metric.title: both(metric) for metric in columns_of(Group.TASK)},
                 "messages help": "yes" if each.messages_help else "no",
                 "attention entropy": "-"
                 if each.attention_entropy is None
@@ -177,16 +165,17 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
             title=f"{table['task']}, {table['n_agents']} agents: {protocol['episodes']} episodes, {steps}",
             title_justify="left",
         )  # fmt: skip
-        for heading in SCORE_COLUMNS:
+        order, *others = SCORE_COLUMNS
+        for heading in (order, "95 %", *others):
             shown.add_column(heading, justify="right")
         for group in table["policies"]:
             gate = "" if group["gate"] is None else f", not ranked: {group['gate']}"
             shown.add_row(f"[bold]{group['name']}[/bold]{gate}")
             for row in group["rows"]:
                 metrics = row["metrics"]
-                order = metrics[ORDER["by"]]
-                low_high = None if order is None else order["interval"]
-                numbers = [_number(metrics[name]) for name in SCORE_COLUMNS.values() if name]
+                by = metrics[ORDER["by"]]
+                low_high = None if by is None else by["interval"]
+                numbers = [_number(metrics[name]) for name in SCORE_COLUMNS.values()]
                 shown.add_row(
                     "  " + row["explainer"] + (" (control)" if row["control"] else ""),
                     numbers[0],

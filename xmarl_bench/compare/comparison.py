@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xmarl_bench.compare.matching import Blocks, named
-from xmarl_bench.entry.schema import EpisodeRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.statistics import (
     Difference,
@@ -28,20 +27,15 @@ from xmarl_bench.metrics.statistics import (
     mann_whitney,
     tie_groups,
 )
+from xmarl_bench.metrics.table import OF_EXPLAINERS, Direction, metrics_of
 from xmarl_bench.reproducible import derived_seed
 
 Floats = NDArray[np.float64]
-LOWER_IS_BETTER = frozenset(
-    {"fid_minus", "gef", "median_kl", "comm_fid_minus", "comm_gef", "success_on_complement",
-     "reward_on_complement", "no_agent_collision_on_complement", "weight_randomisation"}
-)  # fmt: skip
-HIGHER_IS_BETTER = frozenset(
-    {"fid_plus", "fid_delta", "topk_fid_delta", "budgeted_fidelity", "comm_fid_plus", "comm_fid_delta",
-     "comm_topk_fid_delta", "comm_budgeted_fidelity", "renorm_topk_fid_delta", "renorm_budgeted_fidelity",
-     "success_on_explanation", "reward_on_explanation", "no_agent_collision_on_explanation",
-     "behavioural_fidelity", "seed_stability"}
-)  # fmt: skip
-METRICS = tuple(name for name in EpisodeRow.model_fields if name in LOWER_IS_BETTER | HIGHER_IS_BETTER)
+BETTER = {
+    metric.name: metric.direction
+    for metric in metrics_of(*OF_EXPLAINERS)
+    if metric.direction is not Direction.NONE
+}
 
 
 @dataclass(frozen=True)
@@ -76,10 +70,10 @@ class Comparison:
 
 def compare(blocks: Blocks, metric: str) -> Comparison:
     """Compare explainers by one metric of their episodes. Raises InputError where it was not measured."""
-    if metric not in METRICS:
-        raise InputError(f"{metric!r} compares nothing: choose one of {', '.join(METRICS)}.")
+    if metric not in BETTER:
+        raise InputError(f"{metric!r} compares nothing: choose one of {', '.join(BETTER)}.")
     values = {explainer: _values(blocks, explainer, metric) for explainer in blocks}
-    sign = -1.0 if metric in LOWER_IS_BETTER else 1.0
+    sign = -1.0 if BETTER[metric] is Direction.LOWER else 1.0
     zeros = [np.zeros_like(block) for block in next(iter(values.values()))]
 
     def rng(*of: str) -> np.random.Generator:
@@ -100,7 +94,7 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
     corrected = iter(zip(bonferroni(p).tolist(), holm(p).tolist(), strict=True))
     return Comparison(
         metric=metric,
-        better="lower" if metric in LOWER_IS_BETTER else "higher",
+        better=BETTER[metric].value,
         states=tuple(next(iter(blocks.values()))),
         standings=tuple(
             Standing(name, means[name], group + 1) for name, group in zip(order, groups, strict=True)

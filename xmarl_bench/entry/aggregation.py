@@ -8,18 +8,20 @@ import numpy as np
 
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.entry.schema import (
-    BehaviourMetrics,
+    BehaviourRow,
     CellResult,
     ControlMetrics,
     EpisodeRow,
+    ExplanationRow,
     Metrics,
     Summary,
 )
 from xmarl_bench.metrics.statistics import percentiles, resampled_means
+from xmarl_bench.metrics.table import Group, names_of
 from xmarl_bench.reproducible import derived_seed
 
-BEHAVIOUR = tuple(BehaviourMetrics.model_fields)
-SANITY = ("seed_stability", "weight_randomisation")
+BEHAVIOUR = names_of(Group.BEHAVIOUR)
+SANITY = names_of(Group.SANITY)
 
 
 def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summary:
@@ -52,17 +54,19 @@ def cell_metrics(
 
 
 def control_metrics(
-    rows: Sequence[Mapping[str, float | None]],
+    rows: Sequence[ExplanationRow],
+    played: Sequence[BehaviourRow],
     seed: int,
     not_measured: Mapping[str, str],
-    behaviour_episodes: int,
 ) -> ControlMetrics:
-    """Aggregate a control's episodes; a metric that a row lacks is not measured."""
-    absent = {name: "" for name in ControlMetrics.model_fields if name not in rows[0]}
-    values = {name: [row.get(name) for row in rows] for name in ControlMetrics.model_fields}
-    return ControlMetrics.model_validate(
-        _summaries(values, seed, {**not_measured, **absent}, behaviour_episodes)
-    )
+    """Aggregate a control's episodes.
+
+    played: of the first episodes, those that the team was rolled out in; empty is not measured.
+    """
+    absent = {} if played else dict.fromkeys(BEHAVIOUR, "")
+    values = {name: [getattr(row, name) for row in rows] for name in ExplanationRow.model_fields}
+    values |= {name: [getattr(row, name) for row in played] for name in BEHAVIOUR}
+    return ControlMetrics.model_validate(_summaries(values, seed, {**not_measured, **absent}, len(played)))
 
 
 def _summaries(

@@ -10,27 +10,24 @@ canonical JSON too, with line breaks: an episode, a control or a metric has a li
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from typing import Annotated, Any, Final, Literal
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, create_model
 
 from xmarl_bench.entry.protocol import PROTOCOL
+from xmarl_bench.metrics.table import Group, Metric, metrics_of
 from xmarl_bench.policy.architecture import AnyArchitecture
 from xmarl_bench.records.field_types import (
+    ROUNDING,
     Agents,
-    Budgeted,
-    Change,
-    Correlation,
     Count,
-    Delta,
     Name,
     NotNegative,
     Seconds,
     Sha256,
-    Share,
     Text,
-)  # fmt: skip
+)
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.records.json_lines import members, object_of
 
@@ -40,6 +37,9 @@ NOT_HASHED = ("entry_id", "verification", "provenance", "cost")
 
 class Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+R = TypeVar("R", bound=Record)
 
 
 class PolicyRecord(Record):
@@ -91,37 +91,63 @@ class Summary(Record):
     n_nan: Count
 
 
-class ExplanationRow(Record):
+class MetricsRow(Record):
+    """A number per metric."""
+
+    if TYPE_CHECKING:  # the fields are those of the table
+
+        def __getattr__(self, name: str) -> float | None: ...
+
+
+class MetricsMeans(Record):
+    """A summary per metric."""
+
+    if TYPE_CHECKING:  # None for some metrics, see `Metric.nullable`
+
+        def __getattr__(self, name: str) -> Summary | Any: ...
+
+
+def _row_type(metric: Metric) -> Any:
+    low, high = metric.range.low, metric.range.high
+    least = metric.range.least if low is None else low - ROUNDING
+    number = Annotated[float, Field(ge=least, le=None if high is None else high + ROUNDING)]
+    return number | None
+
+
+def _mean_type(metric: Metric) -> Any:
+    return Summary | None if metric.nullable else Summary
+
+
+def of_metrics(type_of: Callable[[Metric], Any], *groups: Group) -> Callable[[type[R]], type[R]]:
+    """Class decorator: the model with a required field for each metric of these groups after its own."""
+
+    def extend(model: type[R]) -> type[R]:
+        fields: dict[str, Any] = {metric.name: (type_of(metric), ...) for metric in metrics_of(*groups)}
+        return create_model(
+            model.__name__, __base__=model, __doc__=model.__doc__, __module__=model.__module__, **fields
+        )
+
+    return extend
+
+
+@of_metrics(_row_type, Group.EXPLANATION)
+class ExplanationRow(MetricsRow):
     """What a mask scores on one episode. A metric is null where it is not a number."""
 
-    fid_plus: Change | None
-    fid_minus: Change | None
-    fid_delta: Delta | None
-    gef: Share | None
-    median_kl: NotNegative | None
-    mask_mass: Share | None
-    topk_fid_delta: Delta | None
-    budgeted_fidelity: Budgeted | None
-    comm_fid_plus: Change | None
-    comm_fid_minus: Change | None
-    comm_fid_delta: Delta | None
-    comm_gef: Share | None
-    comm_topk_fid_delta: Delta | None
-    comm_budgeted_fidelity: Budgeted | None
-    renorm_topk_fid_delta: Delta | None
-    renorm_budgeted_fidelity: Budgeted | None
 
-
-class BehaviourRow(Record):
+@of_metrics(_row_type, Group.BEHAVIOUR)
+class BehaviourRow(MetricsRow):
     """How the team did on the explanation and on the rest; null in episodes that were not played so."""
 
-    success_on_explanation: Share | None
-    success_on_complement: Share | None
-    reward_on_explanation: float | None
-    reward_on_complement: float | None
-    no_agent_collision_on_explanation: Share | None
-    no_agent_collision_on_complement: Share | None
-    behavioural_fidelity: Correlation | None
+
+@of_metrics(_row_type, Group.SANITY)
+class SanityRow(MetricsRow):
+    """What repeating an explanation says of its explainer; null where it was not checked."""
+
+
+@of_metrics(_row_type, Group.POLICY)
+class PolicyRow(MetricsRow):
+    """What is the policy's and no explainer's."""
 
 
 class BudgetRow(Record):
@@ -132,6 +158,7 @@ class BudgetRow(Record):
     oracle: tuple[float | None, ...] | None  # of the best k edges
 
 
+@of_metrics(_row_type, Group.SANITY, Group.POLICY, Group.TASK)
 class EpisodeRow(ExplanationRow, BehaviourRow):
     """One episode. A metric is null where it is not a number, or where it was not measured."""
 
@@ -140,68 +167,25 @@ class EpisodeRow(ExplanationRow, BehaviourRow):
     timesteps: Annotated[int, Field(ge=1, le=10**6)]  # of which so many were explained
     budget: BudgetRow | None = None
     comm_budget: BudgetRow | None = None  # own edges always kept: M = N - 1
-    seed_stability: Correlation | None
-    weight_randomisation: Correlation | None
-    communication_dependence: Change | None
-    attention_entropy: NotNegative | None
-    attention_distance: NotNegative | None
-    reward: float | None
-    success_rate: Share | None
-    no_agent_collision: Share | None
-    no_object_collision: Share | None
-    makespan: NotNegative | None
 
 
-class ExplanationMetrics(Record):
+@of_metrics(_mean_type, Group.EXPLANATION)
+class ExplanationMetrics(MetricsMeans):
     """The means of `ExplanationRow`; null where a metric was not measured."""
 
-    fid_plus: Summary
-    fid_minus: Summary
-    fid_delta: Summary
-    gef: Summary | None
-    median_kl: Summary | None
-    mask_mass: Summary
-    topk_fid_delta: Summary | None
-    budgeted_fidelity: Summary | None
-    comm_fid_plus: Summary
-    comm_fid_minus: Summary
-    comm_fid_delta: Summary
-    comm_gef: Summary | None
-    comm_topk_fid_delta: Summary | None
-    comm_budgeted_fidelity: Summary | None
-    renorm_topk_fid_delta: Summary | None
-    renorm_budgeted_fidelity: Summary | None
 
-
-class BehaviourMetrics(Record):
+@of_metrics(_mean_type, Group.BEHAVIOUR)
+class BehaviourMetrics(MetricsMeans):
     """The means of `BehaviourRow`, over the episodes that were played so; null where none was."""
-
-    success_on_explanation: Summary | None
-    success_on_complement: Summary | None
-    reward_on_explanation: Summary | None
-    reward_on_complement: Summary | None
-    no_agent_collision_on_explanation: Summary | None
-    no_agent_collision_on_complement: Summary | None
-    behavioural_fidelity: Summary | None
 
 
 class ControlMetrics(ExplanationMetrics, BehaviourMetrics):
     """A control on the same episodes."""
 
 
+@of_metrics(_mean_type, Group.SANITY, Group.POLICY, Group.TASK)
 class Metrics(ExplanationMetrics, BehaviourMetrics):
     """Every metric of a cell; null where it was not measured, see `CellResult.not_measured`."""
-
-    seed_stability: Summary | None
-    weight_randomisation: Summary | None
-    communication_dependence: Summary
-    attention_entropy: Summary | None
-    attention_distance: Summary | None
-    reward: Summary
-    success_rate: Summary
-    no_agent_collision: Summary
-    no_object_collision: Summary | None
-    makespan: Summary
 
 
 class CellResult(Record):

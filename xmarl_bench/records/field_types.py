@@ -6,17 +6,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-ROUNDING = 1e-6  # by so much a metric may be out of its range, for sums round
+ROUNDING = 1e-6  # by so much a number may be out of its range, for sums round
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,99}$")]  # safe in file names
 Text = Annotated[str, Field(max_length=10_000)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Agents = Annotated[int, Field(ge=1, le=1024)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
 Seconds = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(ge=-ROUNDING, le=1 + ROUNDING)]
-Change = Annotated[float, Field(ge=-ROUNDING, le=2 + ROUNDING)]  # of an action, which is in [-1, 1]
-Delta = Annotated[float, Field(ge=-2 - ROUNDING, le=2 + ROUNDING)]  # of two changes
-Correlation = Annotated[float, Field(ge=-1 - ROUNDING, le=1 + ROUNDING)]
 NotNegative = Annotated[float, Field(ge=-ROUNDING)]
-# 1 is the best ranking; the worst is unbounded but for the smallest denominator, 1e-3 action units.
-Budgeted = Annotated[float, Field(ge=-4000, le=1 + ROUNDING)]

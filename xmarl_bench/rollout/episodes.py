@@ -14,10 +14,9 @@ from torch import Tensor
 from xmarl_envs import TASKS, Step, Task, VectorEnv, make_task
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.metrics.table import Group, Need, metrics_of, names_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread
-
-TASK_METRICS = ("reward", "success_rate", "no_agent_collision", "no_object_collision", "makespan")
 
 
 @dataclass(frozen=True)
@@ -37,12 +36,13 @@ class Episode:
 
 
 def mean_metrics(task: str, episodes: Sequence[Episode]) -> dict[str, float | None]:
-    """TASK_METRICS, mean over episodes; None for what the task does not have."""
+    """The task metrics, mean over episodes; None for what the task does not have."""
     means: dict[str, float | None] = {
-        name: float(np.mean([getattr(episode, name) for episode in episodes])) for name in TASK_METRICS
+        name: float(np.mean([getattr(episode, name) for episode in episodes]))
+        for name in names_of(Group.TASK)
     }
     if not TASKS[task].n_walls:
-        means["no_object_collision"] = None
+        means |= {metric.name: None for metric in metrics_of(Group.TASK) if Need.WALLS in metric.needs}
     return means
 
 

@@ -23,13 +23,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 from xmarl_envs import make_task
 
+from xmarl_bench.entry.schema import BehaviourRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.metrics import mask_of_senders, other_senders, top_k_rows
 from xmarl_bench.policy import Policy, existing_edges
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout.episodes import Episode, play
-from xmarl_bench.scoring.states import Values, number
+from xmarl_bench.scoring.states import number
 
 BLOCK = 50  # episodes: those of the protocol, in one go
 SMALLEST_TEAM = 3  # with fewer there are no two messages to choose between
@@ -49,7 +50,7 @@ def kept_messages(n_agents: int) -> int:
 
 @dataclass(frozen=True)
 class Played:
-    values: list[Values]  # of `BehaviourRow`, by episode
+    rows: list[BehaviourRow]  # by episode
     seconds: float
 
 
@@ -79,7 +80,7 @@ class BehaviourBlock:
                 )
         except InputError as error:
             return error
-        teams = [_values(*pair) for pair in zip(episodes[:n], episodes[n:], strict=True)]
+        teams = [_row(*pair) for pair in zip(episodes[:n], episodes[n:], strict=True)]
         return Played(teams, time.perf_counter() - started)
 
 
@@ -115,16 +116,17 @@ class _BlockAct:
         return np.concatenate([action[:n], action[BLOCK : BLOCK + n]])
 
 
-def _values(kept: Episode, dropped: Episode) -> Values:
-    return {
-        "success_on_explanation": number(kept.success_rate),
-        "success_on_complement": number(dropped.success_rate),
-        "reward_on_explanation": number(kept.reward),
-        "reward_on_complement": number(dropped.reward),
-        "no_agent_collision_on_explanation": number(kept.no_agent_collision),
-        "no_agent_collision_on_complement": number(dropped.no_agent_collision),
-        "behavioural_fidelity": number(kept.success_rate - dropped.success_rate),
+def _row(kept: Episode, dropped: Episode) -> BehaviourRow:
+    values = {
+        "success_on_explanation": kept.success_rate,
+        "success_on_complement": dropped.success_rate,
+        "reward_on_explanation": kept.reward,
+        "reward_on_complement": dropped.reward,
+        "no_agent_collision_on_explanation": kept.no_agent_collision,
+        "no_agent_collision_on_complement": dropped.no_agent_collision,
+        "behavioural_fidelity": kept.success_rate - dropped.success_rate,
     }
+    return BehaviourRow.model_validate({name: number(value) for name, value in values.items()})
 
 
 def top_messages(

@@ -9,7 +9,7 @@ import torch
 from xmarl_envs import TASKS
 
 from xmarl_bench.entry.aggregation import BEHAVIOUR, SANITY, cell_metrics, control_metrics
-from xmarl_bench.entry.schema import CellResult, ControlMetrics, Cost, EpisodeRow
+from xmarl_bench.entry.schema import BehaviourRow, CellResult, ControlMetrics, Cost, EpisodeRow, SanityRow
 from xmarl_bench.explain.controls import INVERTED, RANDOM
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode, mean_metrics
@@ -19,10 +19,12 @@ from xmarl_bench.scoring.measure import Explained, Shared
 from xmarl_bench.scoring.not_measured import not_measured
 from xmarl_bench.scoring.pieces import Needs
 from xmarl_bench.scoring.request import Request
-from xmarl_bench.scoring.states import Values, number
+from xmarl_bench.scoring.states import number
 
 # Cells whose controls are kept for the next entry: explainers of a policy come one after the other.
 KEPT = 4
+NOT_PLAYED = BehaviourRow.model_validate(dict.fromkeys(BEHAVIOUR))
+NOT_CHECKED = SanityRow.model_validate(dict.fromkeys(SANITY))
 
 
 @dataclass
@@ -37,23 +39,21 @@ class Controls:
         cell: Cell,
         needed: Needs,
         shared: Sequence[Shared],
-        random_behaviour: Sequence[Values],
+        random_behaviour: Sequence[BehaviourRow],
         reasons: Mapping[str, str],
     ) -> dict[str, ControlMetrics]:
         """All but the inverted mask, which is the explainer's own."""
         key = tuple(piece.key for piece in (*needed.shared, *needed.random_behaviour))
         if key not in self.known:
-            rows: dict[str, list[Values]] = {
-                name: [each.controls[name] for each in shared] for name in shared[0].controls
-            }
-            n_played = request.behaviours(cell)
-            if n_played:
-                rows[RANDOM] = [
-                    {**row, **more} for row, more in zip(rows[RANDOM], random_behaviour, strict=True)
-                ]
+            played = random_behaviour[: request.behaviours(cell)]
             self.known[key] = {
-                name: control_metrics(each, request.sampling.seed, reasons, n_played)
-                for name, each in rows.items()
+                name: control_metrics(
+                    [each.controls[name] for each in shared],
+                    played if name == RANDOM else (),
+                    request.sampling.seed,
+                    reasons,
+                )
+                for name in shared[0].controls
             }
             if len(self.known) > KEPT:
                 self.known.pop(next(iter(self.known)))
@@ -75,7 +75,7 @@ def cell_result(
         for parts in zip(episodes, shared, explained, _behaviours(played, len(episodes)), strict=True)
     )
     by_chance = _behaviours([finished.played(piece) for piece in needed.random_behaviour], len(episodes))
-    inverted = control_metrics([each.inverted for each in explained], sampling.seed, reasons, 0)
+    inverted = control_metrics([each.inverted for each in explained], (), sampling.seed, reasons)
     n_played = request.behaviours(cell)
     result = CellResult(
         task=cell.task,
@@ -117,31 +117,28 @@ def _cost(shared: Sequence[Shared], explained: Sequence[Explained], played: Sequ
     )
 
 
-def _behaviours(played: Sequence[Played], episodes: int) -> list[Values]:
-    """Of `BehaviourRow`, for each episode; nulls for those that were not played so."""
-    values = [each for block in played for each in block.values]
-    return values + [dict.fromkeys(BEHAVIOUR)] * (episodes - len(values))
+def _behaviours(played: Sequence[Played], episodes: int) -> list[BehaviourRow]:
+    """One for each episode."""
+    rows = [each for block in played for each in block.rows]
+    return rows + [NOT_PLAYED] * (episodes - len(rows))
 
 
 def episode_row(
-    cell: Cell, episode: Episode, shared: Shared, explained: Explained, behaviour: Values
+    cell: Cell, episode: Episode, shared: Shared, explained: Explained, behaviour: BehaviourRow
 ) -> EpisodeRow:
-    """What an entry keeps of one episode. behaviour: of `BehaviourRow`, null where it was not played so."""
+    """What an entry keeps of one episode."""
+    parts = (explained.row, behaviour, explained.sanity or NOT_CHECKED, shared.policy)
     return EpisodeRow.model_validate(
         {
             "seed": episode.seed,
             "length": len(episode.observations),
             "timesteps": shared.timesteps,
-            **dict.fromkeys(SANITY),
-            **explained.values,
-            **explained.budgets,
-            **behaviour,
-            **shared.policy,
-            **_task_values(cell, episode),
+            "budget": explained.budget,
+            "comm_budget": explained.comm_budget,
+            **{name: value for part in parts for name, value in part},
+            **{
+                name: None if value is None else number(value)
+                for name, value in mean_metrics(cell.task, [episode]).items()
+            },
         }
     )
-
-
-def _task_values(cell: Cell, episode: Episode) -> Values:
-    means = mean_metrics(cell.task, [episode])
-    return {name: None if value is None else number(value) for name, value in means.items()}

@@ -8,6 +8,7 @@ depends on nothing but (policy, explainer, seed, episode, timesteps), and not on
 from __future__ import annotations
 
 import copy
+import math
 import time
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ import torch
 from torch import Tensor
 
 from xmarl_bench.entry.protocol import SANITY_TIMESTEPS
+from xmarl_bench.entry.schema import BudgetRow, ExplanationRow, PolicyRow, SanityRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS, ORACLE, SOFT_ORACLE
 from xmarl_bench.explain.explainer import Explainer, run_explainer
@@ -25,16 +27,18 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout.cell import spaced_timesteps
 from xmarl_bench.rollout.episodes import Episode
-from xmarl_bench.scoring.states import Budgets, States, Values, number
+from xmarl_bench.scoring.states import States, number
 
 
 @dataclass(frozen=True)
 class Explained:
     """What one explainer scored on one episode."""
 
-    values: Values  # of `ExplanationRow`, and of the sanity checks where the unit asks for them
-    budgets: Budgets  # of `EpisodeRow`
-    inverted: Values  # of `ExplanationRow`, for 1 - mask
+    row: ExplanationRow
+    budget: BudgetRow
+    comm_budget: BudgetRow
+    inverted: ExplanationRow  # of 1 - mask
+    sanity: SanityRow | None  # None where the unit does not ask for it
     seconds: float  # for the masks alone
 
 
@@ -43,8 +47,8 @@ class Shared:
     """What an episode gives whoever explains it."""
 
     timesteps: int  # explained
-    controls: dict[str, Values]  # of `ExplanationRow`, by control; no oracle where there is none
-    policy: Values  # what is the policy's alone
+    controls: dict[str, ExplanationRow]  # no oracle where there is none
+    policy: PolicyRow
     seconds: float  # for all but the explainers' masks and metrics
 
 
@@ -89,30 +93,24 @@ class Unit:
             started = time.perf_counter()
             mask = self._mask(explainer, states)
             seconds = time.perf_counter() - started
-            sanity = self._sanity(explainer, states, mask) if self.sanity else {}
+            sanity = self._sanity(explainer, states, mask) if self.sanity else None
         except InputError as error:
             return error
-        values, budgets, inverted = states.with_inverse(mask)
-        return Explained({**values, **sanity}, budgets, inverted, seconds)
+        row, budgets, inverted = states.with_inverse(mask)
+        return Explained(row, *budgets, inverted, sanity, seconds)
 
     def _mask(self, explainer: Explainer, states: States) -> Tensor:
         seed = derived_seed("explainer", self.seed, explainer.name, self.episode.seed)
         return run_explainer(explainer, states.policy, states.observations, seed)
 
-    def _sanity(self, explainer: Explainer, states: States, mask: Tensor) -> Values:
+    def _sanity(self, explainer: Explainer, states: States, mask: Tensor) -> SanityRow:
         few = torch.from_numpy(spaced_timesteps(len(mask), SANITY_TIMESTEPS))
-        observations, mask = states.observations[few], mask[few]
+        subject = explainer, states.policy, states.observations[few], mask[few]
         seed = derived_seed("sanity", self.seed, explainer.name, self.episode.seed)
-        values: Values = {
-            "weight_randomisation": number(
-                weight_randomisation(explainer, states.policy, observations, mask, seed)
-            )
-        }
-        if explainer.stochastic:
-            values["seed_stability"] = number(
-                seed_stability(explainer, states.policy, observations, mask, seed)
-            )
-        return values
+        randomised = weight_randomisation(*subject, seed)
+        stability = seed_stability(*subject, seed) if explainer.stochastic else math.nan
+        values = {"weight_randomisation": number(randomised), "seed_stability": number(stability)}
+        return SanityRow.model_validate(values)
 
     def _control_masks(self, states: States) -> dict[str, Tensor]:
         """The masks of CONTROLS; the oracle's come out of the table that the states hold."""

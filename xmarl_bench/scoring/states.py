@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from xmarl_bench.entry.schema import BudgetRow, ExplanationRow, PolicyRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.oracle import best_rows, change_table, mask_of, why_no_oracle
 from xmarl_bench.metrics import (
@@ -39,9 +40,8 @@ from xmarl_bench.metrics import (
 from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, existing_edges
 
 Floats = NDArray[np.float64]
-Values = dict[str, float | None]
 Edges = NDArray[np.bool_]
-Budgets = dict[str, dict[str, tuple[float | None, ...] | None]]
+Budgets = tuple[BudgetRow, BudgetRow]
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,9 @@ class Ranked:
     def mean(self) -> float:
         return float(self.explained.mean()) if self.explained.size else math.nan
 
-    def record(self) -> dict[str, tuple[float | None, ...] | None]:
-        """Of `BudgetRow`."""
-        curves = {"explained": self.explained, "random": self.random, "oracle": self.oracle}
-        return {
-            name: None if curve is None else tuple(number(value) for value in curve)
-            for name, curve in curves.items()
-        }
+    def record(self) -> BudgetRow:
+        random, oracle = (None if curve is None else _numbers(curve) for curve in (self.random, self.oracle))
+        return BudgetRow(explained=_numbers(self.explained), random=random, oracle=oracle)
 
 
 @dataclass(frozen=True)
@@ -134,13 +130,13 @@ class States:
         )
 
     @torch.no_grad()
-    def mask_metrics(self, mask: Tensor) -> Values:
+    def mask_metrics(self, mask: Tensor) -> ExplanationRow:
         """Metrics of a mask (S, N, N), over the S timesteps together. What is not a number is None."""
         return self._values(mask, *self._rankings(mask), *self._sides(mask))
 
     @torch.no_grad()
-    def with_inverse(self, mask: Tensor) -> tuple[Values, Budgets, Values]:
-        """Metrics of a mask, its FidDelta at every budget, and metrics of 1 - mask.
+    def with_inverse(self, mask: Tensor) -> tuple[ExplanationRow, Budgets, ExplanationRow]:
+        """Metrics of a mask, its FidDelta at every budget (of all edges, of messages), metrics of 1 - mask.
 
         The inverse needs no forward of its own, for what one mask keeps the other drops.
         """
@@ -149,7 +145,7 @@ class States:
         inverse = 1.0 - mask
         return (
             self._values(mask, all_edges, communication, kept, dropped, heard, unheard),
-            {"budget": all_edges.record(), "comm_budget": communication.record()},
+            (all_edges.record(), communication.record()),
             self._values(inverse, *self._rankings(inverse), dropped, kept, unheard, heard),
         )
 
@@ -177,7 +173,7 @@ class States:
         dropped: ActionDistribution,
         heard: ActionDistribution,
         unheard: ActionDistribution,
-    ) -> Values:
+    ) -> ExplanationRow:
         fid, comm = self._fidelity(kept, dropped), self._fidelity(heard, unheard)
         kl, comm_kl = self._kl(kept), self._kl(heard)
         senders = mask.numpy()
@@ -200,10 +196,10 @@ class States:
             "renorm_topk_fid_delta": math.nan if renorm is None else renorm.mean,
             "renorm_budgeted_fidelity": math.nan if renorm is None else renorm.budgeted,
         }
-        return {name: number(value) for name, value in values.items()}
+        return ExplanationRow.model_validate({name: number(value) for name, value in values.items()})
 
     @torch.no_grad()
-    def policy_metrics(self) -> Values:
+    def policy_metrics(self) -> PolicyRow:
         """What is the policy's and no explainer's; None too where nothing attends."""
         n_agents = self.observations.shape[1]
         alone = self._decode(torch.eye(n_agents).repeat(len(self.observations), 1, 1))
@@ -214,7 +210,7 @@ class States:
             values["attention_distance"] = attention_distance(attention, self.edges).mean()
         except InputError:
             values["attention_entropy"] = values["attention_distance"] = math.nan
-        return {name: number(value) for name, value in values.items()}
+        return PolicyRow.model_validate({name: number(value) for name, value in values.items()})
 
     def _decode(self, mask: Tensor) -> ActionDistribution:
         """One mask at a time: in a batch of another size F(1) would not be F(1) to the bit."""
@@ -252,6 +248,10 @@ class States:
 def number(value: float) -> float | None:
     """JSON has no NaN: what is not a finite number is None, and is counted as `n_nan` further on."""
     return float(value) if math.isfinite(value) else None
+
+
+def _numbers(curve: Floats) -> tuple[float | None, ...]:
+    return tuple(number(value) for value in curve)
 
 
 def _action(distribution: ActionDistribution) -> NDArray[np.float32]:

@@ -21,7 +21,7 @@ from xmarl_bench.plugins.registry import FoundExplainer
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
-from xmarl_bench.scoring.cell_result import episode_row
+from xmarl_bench.scoring.cell_result import NOT_PLAYED, episode_row
 from xmarl_bench.scoring.measure import Explained, Unit
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
@@ -97,7 +97,7 @@ def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen:
         if not isinstance(explained, Explained):
             raise explained
         assert measured.shared is not None
-        row = episode_row(request.cells[0], episode, measured.shared, explained, dict.fromkeys(BEHAVIOUR))
+        row = episode_row(request.cells[0], episode, measured.shared, explained, NOT_PLAYED)
         result.episodes.append(list(_rows(f"{where}.episodes.{k}", cell.episodes[k], row, behaviour=False)))
 
 

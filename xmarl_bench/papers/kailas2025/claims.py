@@ -16,35 +16,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-# What more of is better, +1 or -1; D(alpha) is "better" wider, attention entropy lower.
-ORIENTATION: dict[str, int] = {
-    "fid_delta": 1,
-    "fid_plus": 1,
-    "fid_minus": -1,
-    "gef": -1,
-    "budgeted_fidelity": 1,
-    "renorm_budgeted_fidelity": 1,
-    "comm_fid_delta": 1,
-    "comm_fid_plus": 1,
-    "comm_fid_minus": -1,
-    "comm_gef": -1,
-    "comm_budgeted_fidelity": 1,
-    "behavioural_fidelity": 1,
-    "mask_mass": 1,
-    "attention_distance": 1,
-    "attention_entropy": -1,
-    "reward": 1,
-    "success_rate": 1,
-    "no_agent_collision": 1,
-    "no_object_collision": 1,
-    "makespan": -1,
-}
+from xmarl_bench.metrics.table import METRICS, OF_POLICIES, Direction, names_of
 
-# Metrics that every explainer's entry has alike.
-OF_THE_POLICY = (
-    "attention_distance", "attention_entropy", "reward", "success_rate", "no_agent_collision",
-    "no_object_collision", "makespan",
-)  # fmt: skip
+# What more of is better, +1 or -1. The paper wants D(alpha) wide and attention entropy low.
+ORIENTATION: dict[str, int] = {
+    metric.name: 1 if metric.direction is Direction.HIGHER else -1
+    for metric in METRICS
+    if metric.direction is not Direction.NONE
+} | {"attention_distance": 1, "attention_entropy": -1}
+OF_THE_POLICY = names_of(*OF_POLICIES)  # every explainer's entry has them alike
 
 
 class Quantifier(StrEnum):

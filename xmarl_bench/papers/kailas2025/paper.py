@@ -10,14 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 NAVIGATION, PASSAGE, DISCOVERY = "blind_navigation_v0", "blind_passage_v0", "blind_discovery_v0"
-MEASURES = {
-    "reward": "Reward",
-    "success_rate": "Success rate",
-    "no_agent_collision": "No agent collision",
-    "no_object_collision": "No object collision",
-    "makespan": "Makespan",
-}
-HIGHER_IS_BETTER = {name: name != "makespan" for name in MEASURES}
 
 
 class Reported(NamedTuple):

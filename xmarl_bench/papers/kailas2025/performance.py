@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from xmarl_bench.metrics.table import Group, names_of
 from xmarl_bench.papers.kailas2025.claims import ATTENTION, Cell, Term
-from xmarl_bench.papers.kailas2025.paper import MAIN, MEASURES, TRAINING, ZERO_SHOT, Performance
+from xmarl_bench.papers.kailas2025.paper import MAIN, TRAINING, ZERO_SHOT, Performance
 from xmarl_bench.papers.kailas2025.samples import Samples, pooled
 
 
@@ -23,7 +24,7 @@ def performance(samples: Samples, cells: tuple[Cell, ...]) -> list[dict[str, Any
     records: list[dict[str, Any]] = []
     for cell in cells:
         paper = reported(cell) or {}
-        for measure in MEASURES:
+        for measure in names_of(Group.TASK):
             for regularised in (False, True):
                 runs = samples.runs(cell, Term(ATTENTION), regularised)
                 x = pooled(runs, measure)

@@ -24,7 +24,7 @@ from xmarl_bench.policy import PolicyCard
 from xmarl_bench.reproducible import derived_seed
 
 SCHEMA = 1
-# Of the tables; the others of ORIENTATION are the policy's own.
+# Metrics of the tables.
 QUALITY = (
     "fid_delta", "gef", "fid_plus", "fid_minus", "comm_budgeted_fidelity", "budgeted_fidelity",
     "comm_fid_delta", "comm_gef", "behavioural_fidelity", "mask_mass",

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import INVERTED
-from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Cell, Contrast, Side, Term
+from xmarl_bench.metrics.table import METRICS
+from xmarl_bench.papers.kailas2025.claims import Cell, Contrast, Side, Term
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.records.files import canonical_json
 
 Floats = NDArray[np.float64]
+KEPT = tuple(metric.name for metric in METRICS)
 Blocks = list[Floats]  # one array of episodes (E,) per training run
 
 
@@ -95,16 +97,14 @@ class Samples:
         (cell,) = entry.results
         place = Place(cell.task, card.n_agents, cell.n_agents - card.n_agents, percent_of(card))
         run = run_of(card)
-        rows = {
-            name: np.array([_number(getattr(row, name)) for row in cell.episodes]) for name in ORIENTATION
-        }
+        rows = {name: np.array([_number(getattr(row, name)) for row in cell.episodes]) for name in KEPT}
         known = self.scored.setdefault((place, entry.explainer.name), {})
         assert run not in known, card.name
         known[run] = Scored(card.name, rows)
         for name, metrics in cell.controls.items():
             if name == INVERTED:
                 continue
-            summaries = {metric: getattr(metrics, metric, None) for metric in ORIENTATION}
+            summaries = {metric: getattr(metrics, metric, None) for metric in KEPT}
             means = {
                 metric: np.array([np.nan if each is None else _number(each.value)])
                 for metric, each in summaries.items()

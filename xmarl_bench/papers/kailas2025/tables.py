@@ -6,34 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from xmarl_bench.metrics.table import METRICS
 from xmarl_bench.papers.kailas2025.claims import ORIENTATION
 from xmarl_bench.papers.kailas2025.ledger import Verdict
-from xmarl_bench.papers.kailas2025.paper import MEASURES
 from xmarl_bench.papers.kailas2025.results import QUALITY
 
 Json = dict[str, Any]
-METRIC_NAMES = {
-    "fid_delta": "FidDelta",
-    "gef": "GEF",
-    "fid_plus": "Fid+",
-    "fid_minus": "Fid-",
-    "comm_budgeted_fidelity": "communication-only budgeted fidelity",
-    "budgeted_fidelity": "budgeted fidelity",
-    "renorm_budgeted_fidelity": "renormalised budgeted fidelity",
-    "comm_fid_delta": "communication-only FidDelta",
-    "comm_fid_plus": "communication-only Fid+",
-    "comm_fid_minus": "communication-only Fid-",
-    "comm_gef": "communication-only GEF",
-    "behavioural_fidelity": "behavioural fidelity",
-    "mask_mass": "mask mass",
-    "attention_distance": "D(alpha)",
-    "attention_entropy": "attention entropy",
-    "reward": "reward",
-    "success_rate": "success rate",
-    "no_agent_collision": "no agent collision",
-    "no_object_collision": "no object collision",
-    "makespan": "makespan",
-}
+METRIC_NAMES = {metric.name: metric.title for metric in METRICS}
 ESCAPED = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$",
            "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
            "<": "$<$", ">": "$>$", "\u00b1": r"$\pm$"}  # fmt: skip
@@ -95,10 +74,10 @@ def quality_table(results: Json, metric: str) -> Table:
         for cell in cells
         for explainer in explainers
     ]
-    direction = "higher is better" if ORIENTATION[metric] > 0 else "lower is better"
+    direction = {1: " (higher is better)", -1: " (lower is better)"}.get(ORIENTATION.get(metric, 0), "")
     return Table(
         metric,
-        f"{_capital(METRIC_NAMES[metric])} ({direction}): mean over policies and 95 % interval, training "
+        f"{_capital(METRIC_NAMES[metric])}{direction}: mean over policies and 95 % interval, training "
         "runs resampled first, then episodes.",
         ("cell", "explainer", "without the term", "with the term"),
         tuple(rows),
@@ -115,7 +94,7 @@ def performance_table(results: Json) -> Table:
         rows.append(
             (
                 cell,
-                MEASURES[measure],
+                _capital(METRIC_NAMES[measure]),
                 *(text for each in pair for text in (_spread(each), _spread(each and each["paper"]))),
             )
         )

@@ -1,0 +1,311 @@
+"""The table of metrics: a row each. Everything else that names metrics derives from it.
+
+The entry's models, the protocol's definitions, what is compared, the board's columns, the tables of the
+commands, why a metric was not measured, and the tables of docs/metrics.md. To add a metric write its
+function, its row here, and the line that computes it (`xmarl_bench/scoring/states.py` for one of a mask).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+
+class Group(StrEnum):
+    """What a metric is measured on."""
+
+    EXPLANATION = "of an explanation"  # a mask, on the states of an episode
+    BEHAVIOUR = "of behaviour"  # the team, rolled out on the explanation and on the rest
+    SANITY = "of an explainer's sanity"
+    POLICY = "of the policy"
+    TASK = "of the task"
+
+
+OF_EXPLAINERS: Final = (Group.EXPLANATION, Group.BEHAVIOUR, Group.SANITY)
+OF_POLICIES: Final = (Group.POLICY, Group.TASK)
+
+
+class Direction(StrEnum):
+    HIGHER = "higher"  # is better
+    LOWER = "lower"
+    NONE = "none"  # neither is better
+
+    @property
+    def arrow(self) -> str:
+        return {"higher": "\u2191", "lower": "\u2193", "none": ""}[self]
+
+
+class Need(StrEnum):
+    """What must be there to measure a metric; `xmarl_bench.scoring.not_measured` says what is missing."""
+
+    TWO_AGENTS = "2 agents"
+    THREE_AGENTS = "3 agents"
+    ORACLE = "an oracle"
+    COEFFICIENTS = "known coefficients"
+    DISTRIBUTION = "a distribution of actions"
+    SEEDS = "a stochastic explainer"
+    PLAYED = "behaviour episodes"
+    WALLS = "walls"
+    ATTENTION = "attention"
+
+
+@dataclass(frozen=True)
+class Range:
+    """Values that a metric can have; None is unbounded."""
+
+    low: float | None = None
+    high: float | None = None
+    least: float | None = None  # accepted in practice, where there is no `low`
+
+    @property
+    def text(self) -> str:
+        if self.low is not None and self.high is not None:
+            return f"[{self.low:g}, {self.high:g}]"
+        if self.low is not None:
+            return f"at least {self.low:g}"
+        return "any" if self.high is None else f"at most {self.high:g}"
+
+
+SHARE, CHANGE, DELTA, CORRELATION = Range(0, 1), Range(0, 2), Range(-2, 2), Range(-1, 1)
+NOT_NEGATIVE, ANY = Range(0), Range()
+# 1 is the best ranking; the worst is unbounded but for the smallest denominator, 1e-3 action units.
+BUDGETED = Range(high=1, least=-4000)
+
+
+@dataclass(frozen=True)
+class Metric:
+    name: str  # in entries
+    title: str  # in prose
+    meaning: str  # in a line
+    definition: str | None  # of the protocol: scores depend on every word. None: see FAMILIES
+    group: Group
+    range: Range
+    direction: Direction = Direction.NONE
+    unit: str = ""
+    needs: tuple[Need, ...] = ()  # the first that is missing is the reason given
+    heading: str = ""  # of a column; "" is the title
+    column: int | None = None  # of the board, smaller ones first; None is not shown there
+    short: str | None = None  # heading on a terminal; None is not shown there
+    digits: int = 3  # after the point, for people
+    in_paper: bool = False  # one of the paper's four: beside the order in every ranking
+
+    @property
+    def nullable(self) -> bool:
+        """Whether an entry may lack it as a whole, saying why."""
+        return bool(self.needs) or self.group is Group.SANITY
+
+    @property
+    def column_heading(self) -> str:
+        return f"{self.heading or self.title} {self.direction.arrow}".rstrip()
+
+
+HIGHER, LOWER = Direction.HIGHER, Direction.LOWER
+ORDER: Final = "comm_budgeted_fidelity"  # what the leaderboard is ordered by
+SUCCESS: Final = "success_rate"
+DEPENDENCE: Final = "communication_dependence"
+
+FAMILIES: Final = {
+    "comm_*": "the same with every agent's own edge kept in subgraph and complement alike, so that messages "
+    "between agents are ranked alone, k = 1 .. N - 2",
+    "renorm_*": "the same where dropped edges leave the softmax: the coefficients kept sum to 1",
+}
+
+
+def _communication(base: Metric, column: int | None = None, short: str | None = None) -> Metric:
+    return replace(
+        base,
+        name=f"comm_{base.name}",
+        title=f"communication-only {base.title}",
+        heading=f"comm. {base.heading or base.title}",
+        meaning=f"{base.title}, every agent's own edge kept",
+        definition=None,
+        needs=tuple(Need.THREE_AGENTS if each is Need.TWO_AGENTS else each for each in base.needs),
+        column=column,
+        short=short,
+        in_paper=False,
+    )
+
+
+def _renormalised(base: Metric, column: int | None = None) -> Metric:
+    return replace(
+        base,
+        name=f"renorm_{base.name}",
+        title=f"renormalised {base.title}",
+        heading=f"renorm. {base.heading or base.title}",
+        meaning=f"{base.title}, dropped edges leave the softmax",
+        definition=None,
+        needs=(Need.TWO_AGENTS, Need.ORACLE, Need.COEFFICIENTS),
+        column=column,
+        short=None,
+    )
+
+
+_FID_PLUS = Metric(
+    "fid_plus", "Fid+", "what is lost without the explanation", "mean over agents of d_i(1 - m)",
+    Group.EXPLANATION, CHANGE, HIGHER, "action", column=3, short="Fid+", in_paper=True,
+)  # fmt: skip
+_FID_MINUS = Metric(
+    "fid_minus", "Fid-", "what is lost with nothing but the explanation",
+    "mean over agents of d_i(m), d_i(m) = mean over action entries of |F_i(1) - F_i(m)|",
+    Group.EXPLANATION, CHANGE, LOWER, "action", heading="Fid\u2212", column=3, short="Fid-", in_paper=True,
+)  # fmt: skip
+_FID_DELTA = Metric(
+    "fid_delta", "FidDelta", "Fid+ less Fid-; can be gamed", "fid_plus - fid_minus",
+    Group.EXPLANATION, DELTA, HIGHER, "action", column=3, short="FidDelta", in_paper=True,
+)  # fmt: skip
+_GEF = Metric(
+    "gef", "GEF", "divergence of the action's distribution, squeezed into [0, 1]",
+    "mean over agents of 1 - exp(-KL(F_i(1) || F_i(m))), diagonal Normals under the tanh, summed over "
+    "action entries",
+    Group.EXPLANATION, SHARE, LOWER, needs=(Need.DISTRIBUTION,), column=3, short="GEF", in_paper=True,
+)  # fmt: skip
+_TOPK_FID_DELTA = Metric(
+    "topk_fid_delta", "FidDelta@k", "FidDelta of the k highest edges of each row, mean over k",
+    "FidDelta@k, mean over k = 1 .. N - 1: fid_delta of the binary mask that keeps the k highest edges of "
+    "each row, ties broken at random",
+    Group.EXPLANATION, DELTA, HIGHER, "action", (Need.TWO_AGENTS,),
+)  # fmt: skip
+_BUDGETED_FIDELITY = Metric(
+    "budgeted_fidelity", "budgeted fidelity", "FidDelta@k between a random ranking, 0, and the best, 1",
+    "(FidDelta@k - random@k) / (oracle@k - random@k), mean over k = 1 .. N - 1; random@k is the mean over "
+    "all k-subsets of a row and oracle@k the maximum; each averaged over agents and timesteps of the "
+    "episode before dividing; a k whose denominator is under 0.001 is left out, null where none is left",
+    Group.EXPLANATION, BUDGETED, HIGHER, needs=(Need.TWO_AGENTS, Need.ORACLE), column=2, short="budgeted",
+)  # fmt: skip
+
+METRICS: tuple[Metric, ...] = (
+    _FID_PLUS,
+    _FID_MINUS,
+    _FID_DELTA,
+    _GEF,
+    Metric(
+        "median_kl", "median KL", "the divergence itself, for GEF saturates",
+        "median of that KL over the agents and timesteps of an episode",
+        Group.EXPLANATION, NOT_NEGATIVE, LOWER, "nats", (Need.DISTRIBUTION,), column=3,
+    ),
+    Metric(
+        "mask_mass", "mask mass", "how much the mask keeps",
+        "mean of the mask over all edges, the agents' own among them",
+        Group.EXPLANATION, SHARE, column=3, short="mass",
+    ),
+    _TOPK_FID_DELTA,
+    _BUDGETED_FIDELITY,
+    _communication(_FID_PLUS),
+    _communication(_FID_MINUS),
+    _communication(_FID_DELTA, 3),
+    _communication(_GEF, 3),
+    _communication(_TOPK_FID_DELTA),
+    _communication(_BUDGETED_FIDELITY, 1, "comm. budgeted"),
+    _renormalised(_TOPK_FID_DELTA),
+    _renormalised(_BUDGETED_FIDELITY, 3),
+    Metric(
+        "success_on_explanation", "success on explanation", "success of a team that hears the explanation",
+        "success_rate where the team communicates only along the k = floor((N - 1) / 2) highest messages of "
+        "each row of the explanation of its own states; own edges are kept",
+        Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED,), column=3, short="success on it",
+    ),
+    Metric(
+        "success_on_complement", "success on complement", "success of a team that hears the rest",
+        "the same, communicating only along the other messages",
+        Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3, short="on the rest",
+    ),
+    Metric(
+        "reward_on_explanation", "reward on explanation", "reward of a team that hears the explanation",
+        "reward of the team on the explanation",
+        Group.BEHAVIOUR, ANY, HIGHER, "reward", (Need.PLAYED,),
+    ),
+    Metric(
+        "reward_on_complement", "reward on complement", "reward of a team that hears the rest",
+        "reward of the team on the complement",
+        Group.BEHAVIOUR, ANY, LOWER, "reward", (Need.PLAYED,),
+    ),
+    Metric(
+        "no_agent_collision_on_explanation", "collision-free on explanation",
+        "episodes without collision of a team that hears the explanation",
+        "no_agent_collision of the team on the explanation",
+        Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED,), column=3,
+    ),
+    Metric(
+        "no_agent_collision_on_complement", "collision-free on complement",
+        "episodes without collision of a team that hears the rest",
+        "no_agent_collision of the team on the complement",
+        Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3,
+    ),
+    Metric(
+        "behavioural_fidelity", "behavioural fidelity", "difference of the two successes",
+        "success_on_explanation - success_on_complement",
+        Group.BEHAVIOUR, CORRELATION, HIGHER, needs=(Need.PLAYED,),
+    ),
+    Metric(
+        "seed_stability", "seed stability", "rank correlation of the masks of several seeds",
+        "rank correlation of the masks of 3 seeds, mean over pairs; null where the explainer is not "
+        "stochastic",
+        Group.SANITY, CORRELATION, HIGHER, needs=(Need.SEEDS,), column=3,
+    ),
+    Metric(
+        "weight_randomisation", "shuffled weights",
+        "rank correlation with the mask of a policy whose weights were shuffled; near 0 is right",
+        "rank correlation of the mask with that of the policy whose parameter tensors have their entries "
+        "shuffled",
+        Group.SANITY, CORRELATION, LOWER, column=3,
+    ),
+    Metric(
+        "communication_dependence", "communication dependence", "what removing all messages changes",
+        "mean over agents of d_i(identity): what removing all messages between agents changes",
+        Group.POLICY, CHANGE, unit="action", column=3, short="communication dependence",
+    ),
+    Metric(
+        "attention_entropy", "attention entropy", "how evenly agents attend; log N is to all alike",
+        "mean over agents of the entropy of their attention, in nats",
+        Group.POLICY, NOT_NEGATIVE, unit="nats", needs=(Need.ATTENTION,), column=3,
+        short="attention entropy", digits=2,
+    ),
+    Metric(
+        "attention_distance", "D(alpha)", "how far attention is from its complement",
+        "D(alpha) = sum over edges of |2 alpha - 1|",
+        Group.POLICY, NOT_NEGATIVE, needs=(Need.ATTENTION,), column=3,
+    ),
+    Metric(
+        "reward", "reward", "return of an agent", "mean over agents of the return",
+        Group.TASK, ANY, HIGHER, "reward", column=2, short="reward", digits=2,
+    ),
+    Metric(
+        "success_rate", "success rate", "who is at the goal in the end",
+        "fraction of agents at goal when the episode ends; discovery: 1 if found",
+        Group.TASK, SHARE, HIGHER, column=1, short="success", digits=2,
+    ),
+    Metric(
+        "no_agent_collision", "no agent collision", "episodes in which no two agents touch",
+        "1 if no two agents collided in the episode",
+        Group.TASK, SHARE, HIGHER, column=1, short="no agent collision", digits=2,
+    ),
+    Metric(
+        "no_object_collision", "no object collision", "episodes in which nobody touches a wall",
+        "1 if nobody touched a wall; null where there are no walls",
+        Group.TASK, SHARE, HIGHER, needs=(Need.WALLS,), column=1, short="no wall contact", digits=2,
+    ),
+    Metric(
+        "makespan", "makespan", "how long it takes", "steps until done, max_cycles if never",
+        Group.TASK, NOT_NEGATIVE, LOWER, "steps", column=1, short="makespan", digits=0,
+    ),
+)  # fmt: skip
+
+
+def metrics_of(*groups: Group) -> tuple[Metric, ...]:
+    """The rows of these groups, in the table's order."""
+    return tuple(each for each in METRICS if each.group in groups)
+
+
+def names_of(*groups: Group) -> tuple[str, ...]:
+    return tuple(each.name for each in metrics_of(*groups))
+
+
+def columns_of(*groups: Group) -> tuple[Metric, ...]:
+    """Those that the board shows, in its order."""
+    shown = [(each.column, each) for each in metrics_of(*groups) if each.column is not None]
+    return tuple(each for _, each in sorted(shown, key=lambda pair: pair[0]))
+
+
+def by_name() -> dict[str, Metric]:
+    return {each.name: each for each in METRICS}

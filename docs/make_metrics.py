@@ -23,6 +23,7 @@ from xmarl_envs import TASKS, make_task
 
 from xmarl_bench.explain.controls import ones_mask, random_mask, self_mask
 from xmarl_bench.explain.explainer import Explain
+from xmarl_bench.metrics import table as table_of_metrics
 from xmarl_bench.plugins.registry import find_policies
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.policy.bundle import load_card
@@ -34,12 +35,7 @@ from xmarl_bench.scoring.states import States
 HERE = Path(__file__).parent
 EPISODES = 10
 BEGIN, END = "<!-- measured:begin -->\n", "<!-- measured:end -->"
-METRICS = {
-    "fid_delta": "FidDelta",
-    "budgeted_fidelity": "budgeted fidelity",
-    "comm_budgeted_fidelity": "comm. budgeted fidelity",
-    "mask_mass": "mask mass",
-}
+METRICS = ("fid_delta", "budgeted_fidelity", "comm_budgeted_fidelity", "mask_mass")
 
 
 def squeezed_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
@@ -74,7 +70,7 @@ def measure(folder: Path) -> tuple[str, dict[str, Row]]:
             }
             for name, mask in {**masks, "oracle (binary)": states.oracle_mask}.items():
                 values = states.mask_metrics(mask)
-                rows[name].append({metric: _number(values[metric]) for metric in METRICS})
+                rows[name].append({metric: _number(getattr(values, metric)) for metric in METRICS})
     means = {
         name: {metric: float(np.nanmean([row[metric] for row in each])) for metric in METRICS}
         for name, each in rows.items()
@@ -84,7 +80,10 @@ def measure(folder: Path) -> tuple[str, dict[str, Row]]:
 
 def table(measured: dict[str, list[dict[str, Row]]]) -> str:
     """Markdown: per task and mask the mean over policies."""
-    lines = ["| task | mask | " + " | ".join(METRICS.values()) + " |", "|---|---|" + "---|" * len(METRICS)]
+    lines = [
+        "| task | mask | " + " | ".join(heading(name) for name in METRICS) + " |",
+        "|---|---|" + "---|" * len(METRICS),
+    ]
     for task, policies in measured.items():
         for name in policies[0]:
             means = [np.mean([policy[name][metric] for policy in policies]) for metric in METRICS]
@@ -133,6 +132,11 @@ def _bars(
     for policy in values:
         axis.plot(policy, at, ".", color="black", markersize=4)
     axis.set_yticks(range(len(names)), names)
+
+
+def heading(name: str) -> str:
+    metric = table_of_metrics.by_name()[name]
+    return metric.heading or metric.title
 
 
 def _number(value: float | None) -> float:

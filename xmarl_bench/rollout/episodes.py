@@ -14,7 +14,7 @@ from torch import Tensor
 from xmarl_envs import TASKS, Step, Task, VectorEnv, make_task
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.metrics.table import Group, Need, metrics_of, names_of
+from xmarl_bench.metrics.table import Group, Need, metrics_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread
 
@@ -37,13 +37,13 @@ class Episode:
 
 def mean_metrics(task: str, episodes: Sequence[Episode]) -> dict[str, float | None]:
     """The task metrics, mean over episodes; None for what the task does not have."""
-    means: dict[str, float | None] = {
-        name: float(np.mean([getattr(episode, name) for episode in episodes]))
-        for name in names_of(Group.TASK)
+    lacking = set() if TASKS[task].n_walls else {Need.WALLS}
+    return {
+        metric.name: None
+        if lacking & set(metric.needs)
+        else float(np.mean([getattr(episode, metric.name) for episode in episodes]))
+        for metric in metrics_of(Group.TASK)
     }
-    if not TASKS[task].n_walls:
-        means |= {metric.name: None for metric in metrics_of(Group.TASK) if Need.WALLS in metric.needs}
-    return means
 
 
 class Act(Protocol):

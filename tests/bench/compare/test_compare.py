@@ -12,7 +12,7 @@ from PIL import Image
 from scipy import stats
 
 from tests.conftest import MakeBundle, RunCli
-from xmarl_bench.compare.comparison import METRICS, compare
+from xmarl_bench.compare.comparison import BETTER, compare
 from xmarl_bench.compare.matching import blocks_of, read_named, shared_states
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, make_entry
@@ -116,7 +116,7 @@ def test_metrics_that_are_not_there_are_refused(entry: Entry) -> None:
         compare(blocks, "success_on_explanation")
     with pytest.raises(InputError, match=r"'makespan' compares nothing.*comm_budgeted_fidelity"):
         compare(blocks, "makespan")
-    assert "comm_budgeted_fidelity" in METRICS
+    assert "comm_budgeted_fidelity" in BETTER
 
 
 def test_names_mean_the_states_that_all_share(entry: Entry) -> None:

@@ -66,9 +66,9 @@ def test_teams_hear_only_what_they_are_left_with() -> None:
     top = (ranks == 0.9).float()
     own = torch.eye(4)
     seeds = (5, 6)
-    for episode_values, mask in zip(("on_explanation", "on_complement"), (top + own, 1.0 - top), strict=True):
+    for team, mask in zip(("on_explanation", "on_complement"), (top + own, 1.0 - top), strict=True):
         expected = roll_out(make_task(TASK, 4), small_policy(6), seeds, max_cycles=30, mask=mask)
-        received = [values[f"reward_{episode_values}"] for values in play(fixed, seeds, max_cycles=30).values]
+        received = [getattr(row, f"reward_{team}") for row in play(fixed, seeds, max_cycles=30).rows]
         assert received == pytest.approx([episode.reward for episode in expected], abs=1e-5)
     assert play(fixed, seeds, max_cycles=30) != play(None, seeds, max_cycles=30)
 
@@ -92,16 +92,16 @@ def test_the_explainer_is_asked_about_the_states_of_its_own_team() -> None:
 @pytest.mark.parametrize("explainer", [NEAREST, NOISY, None])
 def test_an_episode_depends_on_none_that_is_played_beside_it(explainer: Explainer | None) -> None:
     whole, part = play(explainer, (1, 2, 3)), play(explainer, (1, 2))
-    assert whole.values[:2] == part.values
-    assert whole.values == play(explainer, (1, 2, 3)).values
+    assert whole.rows[:2] == part.rows
+    assert whole.rows == play(explainer, (1, 2, 3)).rows
 
 
 def test_the_fidelity_is_the_difference_of_successes() -> None:
-    for values in play(NEAREST).values:
-        kept, dropped = values["success_on_explanation"], values["success_on_complement"]
+    for row in play(NEAREST).rows:
+        kept, dropped = row.success_on_explanation, row.success_on_complement
         assert kept is not None
         assert dropped is not None
-        assert values["behavioural_fidelity"] == kept - dropped
+        assert row.behavioural_fidelity == kept - dropped
 
 
 @pytest.mark.parametrize("name", sorted(BAD))
@@ -118,8 +118,7 @@ def test_a_team_that_hears_nothing_of_use_does_as_well_on_either_half() -> None:
         policy.gat.lin_l.bias.zero_()
     result = BehaviourBlock(policy, NEAREST, TASK, 3, (1, 2), 0, 20).run()
     assert isinstance(result, Played)
-    for values, metric in product(result.values, ("success", "reward")):
+    for row, metric in product(result.rows, ("success", "reward")):
         # Rounding by the place in the batch is all that is left.
-        assert values[f"{metric}_on_explanation"] == pytest.approx(
-            values[f"{metric}_on_complement"], abs=1e-6
-        )
+        kept, dropped = getattr(row, f"{metric}_on_explanation"), getattr(row, f"{metric}_on_complement")
+        assert kept == pytest.approx(dropped, abs=1e-6)

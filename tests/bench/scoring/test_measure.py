@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from tests.bench.example_plugins import BAD
 from tests.policies import random_observations, small_policy
+from xmarl_bench.entry.schema import ExplanationRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
@@ -17,7 +18,6 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.rollout.cell import spaced_timesteps
 from xmarl_bench.rollout.episodes import Episode
 from xmarl_bench.scoring.measure import Explained, Measured, Unit
-from xmarl_bench.scoring.states import Values
 
 
 @given(st.integers(1, 500), st.integers(1, 600))
@@ -45,22 +45,22 @@ def measured(*explainers: Explainer, seed: int = 0, episode_seed: int = 7, sanit
     return Unit(small_policy(6), explainers, episode(episode_seed), seed, None, sanity).run()
 
 
-def controls_of(result: Measured) -> dict[str, Values]:
+def controls_of(result: Measured) -> dict[str, ExplanationRow]:
     assert result.shared is not None
     return result.shared.controls
 
 
-def values_of(explainer: Explainer, seed: int = 0, episode_seed: int = 7) -> dict[str, float | None]:
+def values_of(explainer: Explainer, seed: int = 0, episode_seed: int = 7) -> ExplanationRow:
     explained = measured(explainer, seed=seed, episode_seed=episode_seed).explained[explainer.name]
     assert isinstance(explained, Explained)
-    return explained.values
+    return explained.row
 
 
 def test_values_depend_on_the_seed_of_run_and_episode_alone() -> None:
     control = CONTROLS["random"]
     assert values_of(control) == values_of(control)
-    assert values_of(control, seed=1)["mask_mass"] != values_of(control)["mask_mass"]
-    assert values_of(control, episode_seed=8)["mask_mass"] != values_of(control)["mask_mass"]
+    assert values_of(control, seed=1).mask_mass != values_of(control).mask_mass
+    assert values_of(control, episode_seed=8).mask_mass != values_of(control).mask_mass
 
 
 def test_values_do_not_depend_on_what_is_explained_beside_them() -> None:
@@ -69,7 +69,7 @@ def test_values_do_not_depend_on_what_is_explained_beside_them() -> None:
     for name in names:
         alone, beside = values_of(CONTROLS[name]), together[name]
         assert isinstance(beside, Explained)
-        assert beside.values == alone
+        assert beside.row == alone
 
 
 def test_values_do_not_depend_on_threads_or_alignment() -> None:
@@ -82,7 +82,7 @@ def test_values_do_not_depend_on_threads_or_alignment() -> None:
     try:
         received = unit.run().explained["random"]
         assert isinstance(received, Explained)
-        assert received.values == values_of(CONTROLS["random"])
+        assert received.row == values_of(CONTROLS["random"])
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(threads)
@@ -95,7 +95,7 @@ def test_explainers_run_on_one_thread() -> None:
     threads = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        assert values_of(Explainer("threads", explain))["mask_mass"] == 1.0
+        assert values_of(Explainer("threads", explain)).mask_mass == 1.0
     finally:
         torch.set_num_threads(threads)
 
@@ -106,7 +106,7 @@ def test_a_control_scores_the_same_carried_along_and_asked_for() -> None:
     for name, carried in controls_of(result).items():
         asked = result.explained[name]
         assert isinstance(asked, Explained)
-        assert asked.values == carried, name
+        assert asked.row == carried, name
 
 
 def test_what_is_shared_is_measured_where_it_is_asked_for() -> None:
@@ -116,26 +116,24 @@ def test_what_is_shared_is_measured_where_it_is_asked_for() -> None:
     alone, together = without.explained["random"], beside.explained["random"]
     assert isinstance(alone, Explained)
     assert isinstance(together, Explained)
-    assert alone.values == together.values
+    assert alone.row == together.row
 
 
 def test_the_inverse_of_a_mask_is_its_complement() -> None:
     result = measured(CONTROLS["all-ones"]).explained["all-ones"]
     assert isinstance(result, Explained)
     assert result.inverted == controls_of(measured())["zeros"]
-    assert result.inverted["fid_delta"] == -(result.values["fid_delta"] or 0.0)
+    assert result.inverted.fid_delta == -(result.row.fid_delta or 0.0)
 
 
 def test_budgets_are_what_budgeted_fidelity_is_made_of() -> None:
     each = measured(CONTROLS["random"]).explained["random"]
     assert isinstance(each, Explained)
-    for budget, prefix, n_senders in (("budget", "", 3), ("comm_budget", "comm_", 2)):
-        curves = [
-            np.array(each.budgets[budget][name], dtype=float) for name in ("explained", "random", "oracle")
-        ]
+    for budget, prefix, n_senders in ((each.budget, "", 3), (each.comm_budget, "comm_", 2)):
+        curves = [np.array(curve, dtype=float) for _, curve in budget]
         assert [curve.shape for curve in curves] == [(n_senders - 1,)] * 3
-        assert budgeted_fidelity(*curves) == each.values[f"{prefix}budgeted_fidelity"]
-        assert curves[0].mean() == each.values[f"{prefix}topk_fid_delta"]
+        assert budgeted_fidelity(*curves) == getattr(each.row, f"{prefix}budgeted_fidelity")
+        assert curves[0].mean() == getattr(each.row, f"{prefix}topk_fid_delta")
         assert (curves[2] >= curves[0]).all()
 
 
@@ -144,10 +142,9 @@ def test_without_an_oracle_a_budget_has_the_explained_curve_alone() -> None:
     crowd = Episode(7, observations, 0.0, 0.0, 0.0, 0.0, 2)
     each = Unit(small_policy(6), (CONTROLS["random"],), crowd, 0, None, False).run().explained["random"]
     assert isinstance(each, Explained)
-    for budget, n_senders in (("budget", 11), ("comm_budget", 10)):
-        record = each.budgets[budget]
-        assert record["random"] is record["oracle"] is None
-        assert len(record["explained"] or ()) == n_senders - 1
+    for budget, n_senders in ((each.budget, 11), (each.comm_budget, 10)):
+        assert budget.random is budget.oracle is None
+        assert len(budget.explained) == n_senders - 1
 
 
 def test_the_error_of_one_explainer_does_not_stop_the_others() -> None:
@@ -162,19 +159,21 @@ def test_a_team_too_large_for_the_oracle_has_none() -> None:
     unit = Unit(small_policy(6), (), Episode(7, observations, 0.0, 0.0, 0.0, 0.0, 2), 0, None, False)
     controls = controls_of(unit.run())
     assert set(CONTROLS) - set(controls) == {"oracle", "soft-oracle"}
-    assert controls["random"]["comm_budgeted_fidelity"] is None
-    assert controls["random"]["comm_topk_fid_delta"] is not None
+    assert controls["random"].comm_budgeted_fidelity is None
+    assert controls["random"].comm_topk_fid_delta is not None
 
 
 def test_sanity_is_checked_where_it_is_asked_for() -> None:
     random = measured(CONTROLS["random"], sanity=True).explained["random"]
     assert isinstance(random, Explained)
-    stability, randomised = random.values["seed_stability"], random.values["weight_randomisation"]
+    assert random.sanity is not None
+    stability, randomised = random.sanity.seed_stability, random.sanity.weight_randomisation
     assert stability is not None
     assert randomised is not None
     assert abs(stability) < 0.3
     assert abs(randomised) < 0.5
     ones = measured(CONTROLS["all-ones"], sanity=True).explained["all-ones"]
     assert isinstance(ones, Explained)
-    assert ones.values["weight_randomisation"] is None  # ranks nothing
-    assert "seed_stability" not in ones.values  # says that it is not stochastic
+    assert ones.sanity is not None
+    assert ones.sanity.weight_randomisation is None  # ranks nothing
+    assert ones.sanity.seed_stability is None  # says that it is not stochastic

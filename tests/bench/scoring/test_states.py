@@ -23,8 +23,9 @@ def states_of(policy: Policy, observations: Tensor) -> States:
 
 def metrics_of(policy: Policy, observations: Tensor, mask: Tensor) -> dict[str, float]:
     metrics = states_of(policy, observations).mask_metrics(mask)
-    assert None not in metrics.values()
-    return {name: value for name, value in metrics.items() if value is not None}
+    values = {name: value for name, value in metrics if value is not None}
+    assert len(values) == len(type(metrics).model_fields)
+    return values
 
 
 @pytest.mark.parametrize("communication", [False, True])
@@ -56,7 +57,7 @@ def test_metrics_equal_an_independent_dense_reference(communication: bool) -> No
     if not communication:
         assert metrics["median_kl"] == pytest.approx(np.median(kls), rel=1e-5)
         assert metrics["mask_mass"] == pytest.approx(float(masks.double().mean()), abs=1e-9)
-        received = states_of(policy, observations).policy_metrics()["communication_dependence"]
+        received = states_of(policy, observations).policy_metrics().communication_dependence
         assert received == pytest.approx(np.mean(dependence), abs=1e-6)
         assert np.mean(dependence) > 1e-3
 
@@ -90,16 +91,16 @@ def test_the_own_edge_is_explained_like_any_other_but_not_among_messages() -> No
     observations = random_observations(20, 3, 6)
     states = states_of(policy, observations)
     without_own = states.mask_metrics((1 - torch.eye(3)).repeat(20, 1, 1))
-    dependence = states.policy_metrics()["communication_dependence"]
-    assert (without_own["fid_minus"] or 0.0) > 1e-3
-    assert without_own["fid_plus"] == pytest.approx(dependence, abs=1e-12)
-    assert without_own["comm_fid_minus"] == 0.0
-    assert without_own["comm_fid_plus"] == pytest.approx(dependence, abs=1e-12)
+    dependence = states.policy_metrics().communication_dependence
+    assert (without_own.fid_minus or 0.0) > 1e-3
+    assert without_own.fid_plus == pytest.approx(dependence, abs=1e-12)
+    assert without_own.comm_fid_minus == 0.0
+    assert without_own.comm_fid_plus == pytest.approx(dependence, abs=1e-12)
     masks = random_masks(20, 3)
     one, other = states.mask_metrics(masks), states.mask_metrics(torch.maximum(masks, torch.eye(3)))
-    for name in one:
+    for name, value in one:
         if name.startswith("comm_"):
-            assert one[name] == other[name], name
+            assert value == getattr(other, name), name
 
 
 def test_binary_masks_get_the_same_fid_delta_from_table_and_forward() -> None:
@@ -108,7 +109,7 @@ def test_binary_masks_get_the_same_fid_delta_from_table_and_forward() -> None:
     states = states_of(policy, observations)
     assert states.oracle_mask is not None
     assert states.all_edges is not None
-    received = states.mask_metrics(states.oracle_mask)["fid_delta"]
+    received = states.mask_metrics(states.oracle_mask).fid_delta
     assert received == pytest.approx(states.all_edges.delta.max(axis=0).mean(), abs=1e-6)
 
 
@@ -117,9 +118,9 @@ def test_a_squeezed_ranking_gains_fid_delta_and_no_budgeted_fidelity() -> None:
     states = states_of(policy, observations)
     ranking = torch.round(random_masks(200, 4) * 256) / 256
     plain, squeezed = states.mask_metrics(ranking), states.mask_metrics(0.9 + ranking / 10)
-    assert (squeezed["fid_delta"] or 0.0) > 10 * abs(plain["fid_delta"] or 0.0)
+    assert (squeezed.fid_delta or 0.0) > 10 * abs(plain.fid_delta or 0.0)
     for name in ("budgeted_fidelity", "comm_budgeted_fidelity", "renorm_budgeted_fidelity", "topk_fid_delta"):
-        assert plain[name] == squeezed[name], name
+        assert getattr(plain, name) == getattr(squeezed, name), name
 
 
 def test_what_is_not_a_number_is_none_never_zero() -> None:
@@ -128,8 +129,8 @@ def test_what_is_not_a_number_is_none_never_zero() -> None:
     observations[2] = torch.inf
     states = states_of(policy, observations)
     metrics = states.mask_metrics(random_masks(4, 3))
-    assert {name for name, value in metrics.items() if value is not None} == {"mask_mass"}
-    assert states.policy_metrics()["communication_dependence"] is None
+    assert {name for name, value in metrics if value is not None} == {"mask_mass"}
+    assert states.policy_metrics().communication_dependence is None
 
 
 @pytest.mark.parametrize(("n_agents", "ranked"), [(1, ()), (2, ("",)), (3, ("", "comm_"))])
@@ -137,8 +138,8 @@ def test_small_teams_have_little_to_rank(n_agents: int, ranked: tuple[str, ...])
     policy = small_policy(6, 1)
     metrics = states_of(policy, random_observations(5, n_agents, 6)).mask_metrics(random_masks(5, n_agents))
     for prefix in ("", "comm_"):
-        assert (metrics[f"{prefix}topk_fid_delta"] is not None) == (prefix in ranked)
-        assert (metrics[f"{prefix}budgeted_fidelity"] is not None) == (prefix in ranked)
+        assert (getattr(metrics, f"{prefix}topk_fid_delta") is not None) == (prefix in ranked)
+        assert (getattr(metrics, f"{prefix}budgeted_fidelity") is not None) == (prefix in ranked)
 
 
 def test_without_a_table_fid_delta_at_k_comes_from_forwards(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,9 +148,11 @@ def test_without_a_table_fid_delta_at_k_comes_from_forwards(monkeypatch: pytest.
     monkeypatch.setattr(oracle, "MAX_AGENTS", 3)
     forward = states_of(policy, observations).mask_metrics(masks)
     for prefix in ("", "comm_"):
-        assert forward[f"{prefix}topk_fid_delta"] == pytest.approx(table[f"{prefix}topk_fid_delta"], abs=1e-6)
-        assert forward[f"{prefix}budgeted_fidelity"] is None
-    assert forward["fid_delta"] == table["fid_delta"]
+        assert getattr(forward, f"{prefix}topk_fid_delta") == pytest.approx(
+            getattr(table, f"{prefix}topk_fid_delta"), abs=1e-6
+        )
+        assert getattr(forward, f"{prefix}budgeted_fidelity") is None
+    assert forward.fid_delta == table.fid_delta
 
 
 class TwoLayers(nn.Module):
@@ -169,11 +172,11 @@ def test_policies_of_several_layers_have_no_normalised_columns() -> None:
         policy = ModulePolicy(TwoLayers(), obs_dim=6)
     states = states_of(policy, random_observations(5, 3, 6))
     metrics = states.mask_metrics(random_masks(5, 3))
-    missing = {name for name, value in metrics.items() if value is None}
+    missing = {name for name, value in metrics if value is None}
     assert missing == {
         "budgeted_fidelity", "comm_budgeted_fidelity", "renorm_budgeted_fidelity", "renorm_topk_fid_delta",
     }  # fmt: skip
     assert states.oracle_mask is None
-    entropy = states.policy_metrics()["attention_entropy"]
+    entropy = states.policy_metrics().attention_entropy
     assert entropy is not None
     assert 0.0 < entropy <= math.log(3)

@@ -66,6 +66,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.slow
 def test_a_row_is_all_that_a_new_metric_needs() -> None:
     """In a process of its own: the models are made when they are imported."""
     ran = subprocess.run([sys.executable, "-c", ADD_A_METRIC], cwd=ROOT, capture_output=True, check=True)

@@ -56,7 +56,7 @@ def explained() -> Image.Image:
     policy, card = load_policy(find_policy(EXPLAINED[0]))
     recording = record(make_task(card.task, card.n_agents), card.name, policy)
     sensed = int((recording.observations[..., -1] > 0).any(axis=1).argmax())
-    explainer = find_explainer(EXPLAINED[1]).explainer
+    explainer = find_explainer(EXPLAINED[1])
     last = recording.track.cycles
     return row([moment(recording, k, explainer) for k in (sensed - 1, sensed)] + [moment(recording, last)])
 

@@ -58,7 +58,7 @@ def make_bundle(tmp_path: Path) -> MakeBundle:
 @pytest.fixture
 def run_cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RunCli:
     """run_cli("score", "--task", ...) -> exit code and what was printed; an uncaught exception propagates."""
-    monkeypatch.setenv("XMARL_BENCH_CELLS", str(tmp_path / "cells"))
+    monkeypatch.setenv("XMARL_BENCH_CACHE", str(tmp_path / "cache"))
 
     def run(*arguments: object) -> Ran:
         monkeypatch.setattr(sys, "argv", ["xmarl-bench", *map(str, arguments)])

@@ -5,7 +5,6 @@ Memory and overhead hold on a busy machine too; the gain of 2 workers can be see
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -27,14 +26,15 @@ from xmarl_bench.plugins.registry import find_explainer, find_policies
 from xmarl_bench.policy import load_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.scoring.cache import Cache
 from xmarl_bench.scoring.measure import Unit
+from xmarl_bench.scoring.piece_keys import piece_key
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import Failed, score_requests
-from xmarl_bench.scoring.store import Store
 
 TITLE = "fan-out"
-CELLS, OVERHEAD = 5000, 0.020  # seconds per cell
-# Bytes of this process from the 1000th cell to the last: results are 20 kB, 80 MB of them.
+PIECES, OVERHEAD = 5000, 0.020  # seconds per piece
+# Bytes of this process from the 1000th piece to the last: results are 20 kB, 80 MB of them.
 GROWTH = 30 * 2**20
 GAIN = 1.7
 POLICY = "passage-n5-lambda0-seed0"
@@ -47,9 +47,9 @@ POLICIES = (
 
 
 def test_soak(benchmark: BenchmarkFixture, report: Report, tmp_path: Path) -> None:
-    """5,000 cells of no work at all, each result written through the store."""
-    store = Store(tmp_path)
-    store.prepare()
+    """5,000 pieces of no work at all, each result written into the cache."""
+    cache = Cache(tmp_path)
+    cache.prepare()
     sizes: dict[int, int] = {}
 
     def soak() -> None:
@@ -57,27 +57,27 @@ def test_soak(benchmark: BenchmarkFixture, report: Report, tmp_path: Path) -> No
             fan_out(twenty_kilobytes, _numbers(), workers=Workers(2)), start=1
         ):
             assert isinstance(result, bytes)
-            store.write(hashlib.sha256(str(k).encode()).hexdigest(), result)
-            if done in (1000, CELLS):
+            cache.write(piece_key(k), result)
+            if done in (1000, PIECES):
                 sizes[done] = psutil.Process().memory_info().rss
 
     benchmark.pedantic(soak, rounds=1)  # type: ignore[no-untyped-call]
     if benchmark.stats is None:  # --benchmark-disable
         return
-    overhead = benchmark.stats.stats.mean / CELLS
-    grown = sizes[CELLS] - sizes[1000]
+    overhead = benchmark.stats.stats.mean / PIECES
+    grown = sizes[PIECES] - sizes[1000]
     report(
         TITLE,
-        f"{CELLS} cells: {1000 * overhead:.1f} ms each < {1000 * OVERHEAD:.0f}; parent {_mb(sizes[1000])} "
-        f"after 1000, {_mb(sizes[CELLS])} after all",
+        f"{PIECES} pieces: {1000 * overhead:.1f} ms each < {1000 * OVERHEAD:.0f}; parent {_mb(sizes[1000])} "
+        f"after 1000, {_mb(sizes[PIECES])} after all",
     )
-    assert sum(1 for _ in tmp_path.glob("??/" + "?" * 64)) == CELLS
+    assert sum(1 for _ in tmp_path.glob("*/??/*")) == PIECES
     assert overhead < OVERHEAD
     assert grown < GROWTH
 
 
 def _numbers() -> Iterator[int]:
-    yield from range(CELLS)
+    yield from range(PIECES)
 
 
 def test_two_workers_over_one(benchmark: BenchmarkFixture, report: Report, tmp_path: Path) -> None:
@@ -100,8 +100,8 @@ def test_two_workers_over_one(benchmark: BenchmarkFixture, report: Report, tmp_p
 
     def score(jobs: int, folder: str, some: Sequence[Request] = requests) -> float:
         started = time.perf_counter()
-        store = Store(tmp_path / folder)
-        outcomes = list(score_requests(some, workers=Workers(jobs), store=store))
+        cache = Cache(tmp_path / folder)
+        outcomes = list(score_requests(some, workers=Workers(jobs), cache=cache))
         assert not any(isinstance(each, Failed) for each in outcomes)
         return time.perf_counter() - started
 

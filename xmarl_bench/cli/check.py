@@ -32,13 +32,13 @@ def check_explainer(
     from xmarl_bench.errors import unknown
     from xmarl_bench.plugins.registry import find_explainer, find_policies, open_policy
 
-    found = find_explainer(name)
+    explainer = find_explainer(name)
     chosen = policy if policy is not None else next(iter(find_policies()), None)
     if chosen is None:
         raise unknown("policy", "", [], "so give --policy a bundle")
     network, card = open_policy(chosen, trust_code=trust_code)
-    findings = run(found.explainer, network, card.task, card.n_agents, timesteps)
-    report(f"explainer {found.explainer.name} on {card.name}", findings, as_json=as_json)
+    findings = run(explainer, network, card.task, card.n_agents, timesteps)
+    report(f"explainer {explainer.name} on {card.name}", findings, as_json=as_json)
 
 
 @check.command("policy")

@@ -7,6 +7,7 @@ import sys
 import typer
 
 from xmarl_bench.cli.board import board
+from xmarl_bench.cli.cache import cache
 from xmarl_bench.cli.check import check
 from xmarl_bench.cli.compare import compare
 from xmarl_bench.cli.convert import convert
@@ -42,6 +43,7 @@ app.command()(submit)
 app.command()(validate)
 app.command()(verify)
 app.add_typer(board, name="board")
+app.add_typer(cache, name="cache")
 app.add_typer(check)
 
 

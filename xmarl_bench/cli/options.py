@@ -52,12 +52,10 @@ TrustCode = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Cells = Annotated[
+CacheFolder = Annotated[
     Path,
-    typer.Option(
-        "--cells", envvar="XMARL_BENCH_CELLS", help="Folder that finished work is kept in, for all runs."
-    ),
+    typer.Option("--cache", envvar="XMARL_BENCH_CACHE", help="Folder of the cache that all runs share."),
 ]
 Resume = Annotated[
-    bool, typer.Option(help="Use finished work that is kept; with --no-resume it is computed again.")
+    bool, typer.Option(help="Take pieces from the cache; with --no-resume they are computed again.")
 ]

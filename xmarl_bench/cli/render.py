@@ -33,7 +33,7 @@ def render(
 
     check_target(out)
     network, name, cell = select_team(policy, task, agents, trust_code=trust_code)
-    chosen = find_explainer(explainer).explainer if explainer is not None else None
+    chosen = find_explainer(explainer) if explainer is not None else None
     recording = record(cell.make(), name, network, seed=seed, episode=episode, max_cycles=max_cycles)
     written = write_animation(recording, out, chosen, progress=True)
     last = recording.track.scene()

@@ -12,7 +12,7 @@ from xmarl_bench.cli.options import (
     Address,
     Agents,
     Backend,
-    Cells,
+    CacheFolder,
     Episodes,
     Explainers,
     Jobs,
@@ -24,7 +24,7 @@ from xmarl_bench.cli.options import (
     Tasks,
     TrustCode,
 )
-from xmarl_bench.scoring.store import DEFAULT_FOLDER
+from xmarl_bench.scoring.cache import DEFAULT_FOLDER
 
 
 def score(
@@ -61,7 +61,7 @@ def score(
     backend: Backend = "loky",
     address: Address = None,
     parallel_episodes: Parallel = 50,
-    cells: Cells = DEFAULT_FOLDER,
+    cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
     submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
     out: Annotated[Path, typer.Option(help="Where entries/ and leaderboard.json go.")] = Path("leaderboard"),
@@ -70,7 +70,7 @@ def score(
 
     With --slow-episodes or --slow-timesteps, slow explainers are scored on fewer states only, and all
     others on both: on all states, and on the same few, so that they can be compared. What is finished is kept
-    in --cells: a run that was stopped goes on where it was. What fails stops nothing else; exit code 1 says
+    in --cache: a run that was stopped goes on where it was. What fails stops nothing else; exit code 1 says
     that something did.
     """
     from dataclasses import replace
@@ -81,9 +81,9 @@ def score(
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.files import locked, remove_leftovers
     from xmarl_bench.rollout.cell import Sampling
+    from xmarl_bench.scoring.cache import Cache
     from xmarl_bench.scoring.score import Failed, score_requests
     from xmarl_bench.scoring.selection import plan, select_explainers, select_policies
-    from xmarl_bench.scoring.store import Store
 
     workers = Workers(jobs, backend, address)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
@@ -113,7 +113,7 @@ def score(
                 parallel_episodes=parallel_episodes,
                 progress=True,
                 submitter=submitter,
-                store=Store(cells),
+                cache=Cache(cache),
                 fresh=not resume,
                 out=out,
             ):
@@ -128,7 +128,7 @@ def score(
             if entries:  # an interrupted run keeps what it finished
                 board = build_board(out)
     if entries:
-        tables.print_scores(entries, [found.explainer for found in explainers])
+        tables.print_scores(entries, explainers)
         print(
             f"{len(entries)} entries in {out / 'entries'}, leaderboard in {board} and {out / 'index.html'}."
         )

@@ -11,14 +11,14 @@ import typer
 from xmarl_bench.cli.options import (
     Address,
     Backend,
-    Cells,
+    CacheFolder,
     Jobs,
     MaxCycles,
     Policies,
     Resume,
     Seed,
 )
-from xmarl_bench.scoring.store import DEFAULT_FOLDER
+from xmarl_bench.scoring.cache import DEFAULT_FOLDER
 
 
 class Name(StrEnum):
@@ -59,7 +59,7 @@ def study(
     jobs: Jobs = None,
     backend: Backend = "loky",
     address: Address = None,
-    cells: Cells = DEFAULT_FOLDER,
+    cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
     submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
     out: Annotated[
@@ -68,7 +68,7 @@ def study(
 ) -> None:
     """Reproduce a study of the paper and judge its statements; what is scored already is not scored again.
 
-    What is finished is kept in --cells. What fails stops nothing else, and is missing from the study; exit
+    What is finished is kept in --cache. What fails stops nothing else, and is missing from the study; exit
     code 1 says that something did.
     """
     from xmarl_bench.cli import tables
@@ -80,8 +80,8 @@ def study(
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.files import locked, remove_leftovers
     from xmarl_bench.rollout.cell import Sampling
+    from xmarl_bench.scoring.cache import Cache
     from xmarl_bench.scoring.score import Failed, score_requests
-    from xmarl_bench.scoring.store import Store
 
     workers = Workers(jobs, backend, address)
     chosen = STUDIES[name.value]
@@ -101,7 +101,7 @@ def study(
             workers=workers,
             progress=True,
             submitter=submitter,
-            store=Store(cells),
+            cache=Cache(cache),
             fresh=not resume,
             out=folder,
         )
@@ -111,14 +111,12 @@ def study(
             for request, outcome in zip(requests, outcomes, strict=True)
             if not isinstance(outcome, Failed)
         ]
-        data = StudyData(
-            chosen, tuple(found.explainer.name for found in explainers), pairs, Samples.of(pairs)
-        )
+        data = StudyData(chosen, tuple(explainer.name for explainer in explainers), pairs, Samples.of(pairs))
         results = write_study(folder, data, figures=figures)
     verdicts = [claim["verdict"] for claim in results["ledger"]]
     counted = ", ".join(f"{verdicts.count(each)} {each}" for each in sorted(set(verdicts)))
     for absent in results["missing"]:
         print(f"missing: {absent}")
     print(f"{len(verdicts)} statements of the paper: {counted}.")
-    print(f"{len(pairs)} entries in {cells}; results.json, tables/, figures/ and tables.html in {folder}.")
+    print(f"{len(pairs)} entries; results.json, tables/, figures/ and tables.html in {folder}.")
     tables.exit_for_failures([each for each in outcomes if isinstance(each, Failed)], len(requests))

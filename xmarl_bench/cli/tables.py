@@ -16,6 +16,7 @@ from xmarl_envs import TASKS
 from xmarl_bench.board import ORDER, board_of
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.metrics.table import OF_EXPLAINERS, SUCCESS, Group, Metric, columns_of
 from xmarl_bench.plugins.registry import explainer_names, find_explainer, registered_policies
@@ -84,19 +85,19 @@ def explainers() -> tuple[list[Row], list[InputError]]:
     failures = []
     for name in explainer_names():
         try:
-            found = find_explainer(name)
+            each = find_explainer(name)
         except InputError as error:
             failures.append(error)
             continue
-        each = found.explainer
+        origin = origin_of_explainer(each)
         rows.append(
             {
                 "name": each.name,
                 "kind": "control" if each.control else "explainer",
                 "stochastic": each.stochastic,
                 "slow": each.slow,
-                "distribution": found.distribution,
-                "version": found.version,
+                "distribution": origin.distribution,
+                "version": origin.version,
                 "summary": each.summary,
             }
         )
@@ -266,7 +267,7 @@ def run_rows(records: Sequence[tuple[RunRecord, Progress]]) -> list[Row]:
             "command": record.command,
             "started": record.started,
             "state": "finished" if progress.done == progress.pieces else states[progress.running],
-            "cells": [progress.done, progress.pieces],
+            "pieces": [progress.done, progress.pieces],
             "entries": [progress.entries, len(record.asked)],
             "explainers": {name: list(counts) for name, counts in progress.explainers.items()},
             "failures": sorted(set(progress.failures.values())),
@@ -277,11 +278,11 @@ def run_rows(records: Sequence[tuple[RunRecord, Progress]]) -> list[Row]:
 
 def print_runs(rows: Sequence[Row]) -> None:
     for row in rows:
-        (done, cells), (complete, entries) = row["cells"], row["entries"]
-        print(f"{row['folder']}: {row['state']}, {done} of {cells} cells, {complete} of {entries} entries.")
+        (done, pieces), (complete, entries) = row["pieces"], row["entries"]
+        print(f"{row['folder']}: {row['state']}, {done} of {pieces} pieces, {complete} of {entries} entries.")
         print(f"  {row['command']} ({row['started']})")
-        for name, (done, cells) in row["explainers"].items():
-            if done < cells:
-                print(f"  {name}: {done} of {cells}")
+        for name, (done, pieces) in row["explainers"].items():
+            if done < pieces:
+                print(f"  {name}: {done} of {pieces}")
         for failure in row["failures"]:
             print(f"  failed: {failure.splitlines()[0]}")

@@ -27,6 +27,7 @@ from torch_geometric.explain import AttentionExplainer, CaptumExplainer, Explain
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Access, Explain, Explainer, Fit, Scalar
 from xmarl_bench.explain.pyg import Copies, PygExplain, PygFit
+from xmarl_bench.origin.references import Origin, origin_of
 from xmarl_bench.policy import Policy
 
 PARAMETERS = ("policy", "observations", "generator")
@@ -135,14 +136,16 @@ class FitByMethod:
         return Named.of(self.name, getattr(fitted, "explain", fitted))
 
 
-def code_of(explainer: Explainer) -> object:
-    """The function, class or algorithm that was brought."""
+def origin_of_explainer(explainer: Explainer) -> Origin:
+    """Where it was found; of an object that was handed over, where the code of its `explain` is."""
+    if explainer.origin is not None:
+        return explainer.origin
     explain: object = explainer.explain
     if isinstance(explain, Named):
         explain = explain.function
     if isinstance(explain, PygExplain) and isinstance(explain.algorithm, Copies):
-        return type(explain.algorithm.algorithm)
-    return type(explain.__self__) if inspect.ismethod(explain) else explain
+        return origin_of(type(explain.algorithm.algorithm))
+    return origin_of(type(explain.__self__) if inspect.ismethod(explain) else explain)
 
 
 def _made(

@@ -16,6 +16,7 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.pyg import class_settings_kept
+from xmarl_bench.origin.references import Origin
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.black_box import BlackBox
 from xmarl_bench.reproducible import seeded
@@ -63,6 +64,8 @@ class Explainer:
     accesses: Access | None = None
     fit: Fit | None = None  # learns from states that no score uses, once per policy; gives what explains it
     fitted_on: Tensor | None = field(default=None, compare=False, repr=False)  # (S, N, D)
+    # Set where it is found by name; None for an object that is handed over, see `origin_of_explainer`.
+    origin: Origin | None = field(default=None, compare=False, repr=False)
 
 
 def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:

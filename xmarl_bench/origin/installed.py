@@ -1,10 +1,15 @@
-"""What is installed: versions of distributions, and which of them a module belongs to."""
+"""What is installed: versions of distributions, which of them a module belongs to, and what is own code."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from pathlib import Path
+
+HARNESS = ("xmarl_bench", "xmarl_envs")
+INSTALLED = {"site-packages", "dist-packages"}
 
 
 def package_version(name: str) -> str | None:
@@ -18,6 +23,25 @@ def package_version(name: str) -> str | None:
 def distribution_of(module: str) -> str | None:
     """The installed package that a module is of, by its top-level name."""
     return next(iter(_distributions().get(module.split(".")[0], [])), None)
+
+
+def is_own(module: str) -> bool:
+    """Whether the code of a module lies outside of what is installed: an editable install is own code too.
+
+    Nothing is imported to find out.
+    """
+    top = module.partition(".")[0]
+    if top in HARNESS or top in sys.stdlib_module_names:
+        return False
+    return not any(INSTALLED & set(place.parts) for place in places_of(module))
+
+
+def places_of(module: str) -> list[Path]:
+    """The folders of the top-level package that is loaded, or its file; none for what was typed in."""
+    top = sys.modules.get(module.partition(".")[0])
+    file = getattr(top, "__file__", None)
+    folders = [*getattr(top, "__path__", [])]
+    return [Path(each) for each in folders or ([] if file is None else [file])]
 
 
 @cache

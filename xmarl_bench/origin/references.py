@@ -8,6 +8,8 @@ import importlib.util
 import inspect
 import sys
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +18,7 @@ from typing import Any
 from cloudpickle import register_pickle_by_value
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.origin.installed import distribution_of, package_version
+from xmarl_bench.origin.installed import distribution_of, is_own, package_version, places_of
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,9 @@ class Origin:
 
     distribution: str | None  # installed package that holds it
     version: str | None
-    where: str  # "module:Name" or "file.py:Name"
-    sha256: str | None  # of the file, or of an object's own source; None for an installed package
+    entry_point: str  # "module:Name" or "file.py:Name"
+    # Of the file, or of an object's own source; None for an installed package.
+    code_sha256: str | None = None
 
 
 def is_reference(name: str) -> bool:
@@ -79,7 +82,11 @@ def origin_of(found: object) -> Origin:
 
 
 def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
-    """A module of its own for each content of the file, that worker processes get by value."""
+    """A module of its own for each content of the file.
+
+    Modules beside it can be imported, as from a script; they too are read anew each time, and sent to worker
+    processes by value.
+    """
     try:
         source = path.read_bytes()
     except OSError as error:
@@ -92,12 +99,30 @@ def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up there
     try:
-        spec.loader.exec_module(module)
+        with _neighbours(path.parent.resolve()):
+            spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise _failed(reference, error) from error
     register_pickle_by_value(module)
     return module, sha256
+
+
+@contextmanager
+def _neighbours(folder: Path) -> Iterator[None]:
+    """Its modules can be imported, and are forgotten afterwards: another folder may name its own alike."""
+    importlib.invalidate_caches()
+    before, compiles = set(sys.modules), sys.dont_write_bytecode
+    sys.path.insert(0, str(folder))
+    sys.dont_write_bytecode = True  # a compiled file hides an edit of the same size within the same second
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))
+        sys.dont_write_bytecode = compiles
+        new = [name for name in set(sys.modules) - before if is_own(name)]
+        for name in [each for each in new if any(place.is_relative_to(folder) for place in places_of(each))]:
+            del sys.modules[name]
 
 
 def _import_module(name: str, reference: str) -> ModuleType:

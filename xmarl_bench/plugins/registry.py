@@ -17,28 +17,17 @@ from pathlib import Path
 from typing import Any
 
 from xmarl_bench.errors import InputError, unknown
-from xmarl_bench.explain.adapters import as_explainer, code_of
+from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.origin.installed import package_version
-from xmarl_bench.origin.references import Origin, is_reference, load_reference, origin_of
+from xmarl_bench.origin.references import Origin, is_reference, load_reference
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.policy.untrusted import CARD
 
 EXPLAINERS, POLICIES = "xmarl_bench.explainers", "xmarl_bench.policies"
 NAME = re.compile(r"^[a-z0-9][a-z0-9._-]{0,99}$")  # safe in file names
-
-
-@dataclass(frozen=True)
-class FoundExplainer:
-    """An explainer and where it came from."""
-
-    explainer: Explainer
-    distribution: str | None
-    version: str | None
-    entry_point: str
-    code_sha256: str | None = None  # of the file, or of its own source where it was handed over
 
 
 @dataclass(frozen=True)
@@ -62,13 +51,7 @@ class PolicyCode:
         where = (
             f"{code.__module__}:{code.__qualname__}" if hasattr(code, "__qualname__") else self.plugin.value
         )
-        return made.open(Origin(*_distribution(self.plugin), where, None))
-
-
-def as_found(thing: object) -> FoundExplainer:
-    """An explainer handed over as an object, or what `as_explainer` makes one of."""
-    explainer = as_explainer(thing)
-    return _found(explainer, origin_of(code_of(explainer)))
+        return made.open(Origin(*_distribution(self.plugin), where))
 
 
 def explainer_names() -> list[str]:
@@ -76,53 +59,43 @@ def explainer_names() -> list[str]:
     return [*CONTROLS, *sorted(_explainer_plugins())]
 
 
-def find_explainer(name: str) -> FoundExplainer:
-    """Load one explainer, by its name, or by `path/to/file.py:Name` or `module:Name`, which runs that code.
+def find_explainer(name: str) -> Explainer:
+    """One explainer and its origin, by its name, or by `path/to/file.py:Name` or `module:Name`, which runs
+    that code.
 
     Raises InputError for an unknown name, and for a plugin or a file that does not load.
     """
+    what = f"explainer {name!r}"
     if name in CONTROLS:
-        return FoundExplainer(
-            CONTROLS[name],
-            "xmarl-bench",
-            package_version("xmarl-bench"),
-            f"xmarl_bench.explain.controls:CONTROLS[{name!r}]",
-        )
-    if is_reference(name):
+        where = f"xmarl_bench.explain.controls:CONTROLS[{name!r}]"
+        thing, origin = CONTROLS[name], Origin("xmarl-bench", package_version("xmarl-bench"), where)
+    elif is_reference(name):
         thing, origin = load_reference(name)
-        return _found(_explainer_of(thing, name), origin)
-    plugins = _explainer_plugins()
-    if name not in plugins:
-        raise unknown("explainer", name, explainer_names(), "or give path/to/file.py:Name or module:Name")
-    plugin = plugins[name]
-    loaded = _load(plugin)
-    explainer = _explainer_of(loaded, name, plugin)
-    if not isinstance(loaded, Explainer):  # it has no name of its own
-        explainer = replace(explainer, name=name)
-    if explainer.name != name:
-        raise InputError(
-            f"explainer plugin {name!r} ({plugin.value}) calls itself {explainer.name!r}: "
-            f"use one name for both."
-        )
-    return _found(explainer, Origin(*_distribution(plugin), plugin.value, None))
-
-
-def _explainer_of(thing: object, name: str, plugin: EntryPoint | None = None) -> Explainer:
+    else:
+        plugin = _explainer_plugin(name)
+        what = f"explainer plugin {name!r} ({plugin.value})"
+        thing, origin = _load(plugin), Origin(*_distribution(plugin), plugin.value)
     try:
-        return as_explainer(thing)
+        explainer = as_explainer(thing)
     except InputError as error:
-        what = f"explainer {name!r}" if plugin is None else f"explainer plugin {name!r} ({plugin.value})"
         raise InputError(f"{what} cannot be taken: {error}") from None
+    if not is_reference(name):
+        if not isinstance(thing, Explainer):  # it has no name of its own
+            explainer = replace(explainer, name=name)
+        if explainer.name != name:
+            raise InputError(f"{what} calls itself {explainer.name!r}: use one name for both.")
+    return checked_name(replace(explainer, origin=origin))
 
 
-def _found(explainer: Explainer, origin: Origin) -> FoundExplainer:
+def checked_name(explainer: Explainer) -> Explainer:
     """Raises InputError for a name that is not fit for files, or that of a control."""
     name = explainer.name
     if not NAME.match(name):
         raise InputError(f"explainer name {name!r} cannot be part of a file name: use a-z, 0-9, . _ and -.")
-    if name in CONTROLS and explainer is not CONTROLS[name]:
-        raise InputError(f"explainer {name!r} ({origin.where}) has the name of a control: rename it.")
-    return FoundExplainer(explainer, origin.distribution, origin.version, origin.where, origin.sha256)
+    if name in CONTROLS and explainer != CONTROLS[name]:
+        where = origin_of_explainer(explainer).entry_point
+        raise InputError(f"explainer {name!r} ({where}) has the name of a control: rename it.")
+    return explainer
 
 
 def find_policies() -> dict[str, Path]:
@@ -250,6 +223,13 @@ def _made(factory: object, name: str) -> PolicyModule:
             f"policy {name!r} is a {type(made).__name__}: let its factory return a PolicyModule."
         )
     return made
+
+
+def _explainer_plugin(name: str) -> EntryPoint:
+    plugins = _explainer_plugins()
+    if name not in plugins:
+        raise unknown("explainer", name, [*CONTROLS, *plugins], "or give path/to/file.py:Name or module:Name")
+    return plugins[name]
 
 
 def _explainer_plugins() -> dict[str, EntryPoint]:

@@ -80,13 +80,16 @@ def load_card(bundle: Path) -> PolicyCard:
     return parse_card(read_member(bundle, CARD), str(bundle / CARD))
 
 
-def load_policy(bundle: Path) -> tuple[GraphPolicy | LayeredPolicy, PolicyCard]:
-    """Rebuild the network of a bundle, in evaluation mode.
+def load_policy(
+    bundle: Path, card: PolicyCard | None = None
+) -> tuple[GraphPolicy | LayeredPolicy, PolicyCard]:
+    """Rebuild the network of a bundle, in evaluation mode. card: what `load_card` read, not read again.
 
     Raises InputError where a file is missing, truncated, of another architecture or not the one the card
     names, or where a weight is not finite.
     """
-    card = load_card(bundle)
+    if card is None:
+        card = load_card(bundle)
     weights = parse_weights(read_member(bundle, WEIGHTS), card, str(bundle / WEIGHTS))
     return build(card, weights), card
 

@@ -66,10 +66,10 @@ class PolicyModule:
                 architecture=CodeArchitecture(
                     obs_dim=obs_dim,
                     action_dim=action_dim,
-                    entry_point=origin.where,
+                    entry_point=origin.entry_point,
                     package=origin.distribution,
                     version=origin.version,
-                    code_sha256=origin.sha256,
+                    code_sha256=origin.code_sha256,
                     distribution=self.distribution,
                     graph=self.graph,
                 ),

@@ -40,7 +40,7 @@ def draw_missing(folder: Path) -> Iterator[str]:
 
 def _draw(entry: Entry, path: Path, played: Played) -> int:
     """Bytes written. Raises InputError where the policy or the explainer is not what was scored."""
-    explainer = find_explainer(entry.explainer.name).explainer
+    explainer = find_explainer(entry.explainer.name)
     cell, seed = entry.results[0], entry.explainer.seed
     key = (entry.policy.weights_sha256, cell.task, cell.n_agents, cell.max_cycles, seed)
     if key not in played:

@@ -14,14 +14,14 @@ from xmarl_bench.explain.controls import INVERTED, RANDOM
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode, mean_metrics
 from xmarl_bench.scoring.behaviour import Played
-from xmarl_bench.scoring.finished import Finished
 from xmarl_bench.scoring.measure import Explained, Shared
 from xmarl_bench.scoring.not_measured import not_measured
 from xmarl_bench.scoring.pieces import Needs
 from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.results import Results
 from xmarl_bench.scoring.states import number
 
-# Cells whose controls are kept for the next entry: explainers of a policy come one after the other.
+# Cells whose controls stay in memory for the next entry: explainers of a policy come one after the other.
 KEPT = 4
 NOT_PLAYED = BehaviourRow.model_validate(dict.fromkeys(BEHAVIOUR))
 NOT_CHECKED = SanityRow.model_validate(dict.fromkeys(SANITY))
@@ -61,20 +61,20 @@ class Controls:
 
 
 def cell_result(
-    request: Request, cell: Cell, needed: Needs, finished: Finished, controls: Controls
+    request: Request, cell: Cell, needed: Needs, results: Results, controls: Controls
 ) -> tuple[CellResult, Cost]:
     """Of pieces that are all there. The cost is of this cell alone."""
     sampling = request.sampling
-    episodes = [each for piece in needed.episodes for each in finished.episodes(piece)]
-    shared = [each for piece in needed.shared for each in finished.shared(piece)]
-    explained = [each for piece in needed.explained for each in finished.explained(piece)]
-    played = [finished.played(piece) for piece in needed.behaviour]
+    episodes = [each for piece in needed.episodes for each in results.episodes(piece)]
+    shared = [each for piece in needed.shared for each in results.shared(piece)]
+    explained = [each for piece in needed.explained for each in results.explained(piece)]
+    played = [results.played(piece) for piece in needed.behaviour]
     reasons = not_measured(request, cell, torch.tensor(episodes[0].observations[:1]))
     rows = tuple(
         episode_row(cell, *parts)
         for parts in zip(episodes, shared, explained, _behaviours(played, len(episodes)), strict=True)
     )
-    by_chance = _behaviours([finished.played(piece) for piece in needed.random_behaviour], len(episodes))
+    by_chance = _behaviours([results.played(piece) for piece in needed.random_behaviour], len(episodes))
     inverted = control_metrics([each.inverted for each in explained], (), sampling.seed, reasons)
     n_played = request.behaviours(cell)
     result = CellResult(

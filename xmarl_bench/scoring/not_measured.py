@@ -39,7 +39,7 @@ def _reasons(request: Request, cell: Cell, observations: Tensor) -> Iterator[tup
     deterministic = request.card.architecture.distribution == "deterministic"
     reason = "the policy is deterministic: it has no distribution to compare"
     yield Need.DISTRIBUTION, reason if deterministic else None
-    stochastic = request.explainer.explainer.stochastic
+    stochastic = request.explainer.stochastic
     yield Need.SEEDS, None if stochastic else "the explainer says that it is not stochastic"
     reason = why_no_behaviour(n_agents) or "not asked for, since it asks the explainer at every step"
     yield Need.PLAYED, None if request.behaviours(cell) else reason

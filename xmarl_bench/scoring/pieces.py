@@ -1,4 +1,4 @@
-"""The work that requests ask for, cut into pieces: what each is, and the name of its result in a store.
+"""The work that requests ask for, cut into pieces: what each is, and the key of its result in the cache.
 
 A piece is a block of consecutive episodes of a policy: played; measured without any explainer (`shared`);
 explained by one explainer; or acted out on an explainer's masks (`behaviour`). Requests that need the same
@@ -11,11 +11,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
-from xmarl_bench.entry.schema import SCHEMA_VERSION
 from xmarl_bench.policy import Policy
 from xmarl_bench.rollout.cell import BLOCK, Cell
 from xmarl_bench.scoring.behaviour import BLOCK as BEHAVIOUR_BLOCK
-from xmarl_bench.scoring.content_key import content_key, explainer_key, policy_key
+from xmarl_bench.scoring.piece_keys import Keys, piece_key
 from xmarl_bench.scoring.request import Request
 
 Kind = Literal["episodes", "shared", "explained", "behaviour"]
@@ -33,9 +32,10 @@ class World:
     max_cycles: int | None
 
     @classmethod
-    def of(cls, request: Request, cell: Cell) -> World:
-        card, sampling = request.card, request.sampling
-        return cls(request.policy, card.name, policy_key(card), cell, sampling.seed, sampling.max_cycles)
+    def of(cls, request: Request, cell: Cell, keys: Keys) -> World:
+        policy, card, sampling = request.policy, request.card, request.sampling
+        key = keys.policy(policy, card)
+        return cls(policy, card.name, key, cell, sampling.seed, sampling.max_cycles)
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,11 @@ class Needs:
         yield from self.random_behaviour
 
 
-def needs(request: Request, cell: Cell) -> Needs:
-    world, sampling, n_played = World.of(request, cell), request.sampling, request.behaviours(cell)
-    name, its_key = request.explainer.explainer.name, explainer_key(request.explainer)
+def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
+    world, sampling, n_played = World.of(request, cell, keys), request.sampling, request.behaviours(cell)
+    name, its_key = request.explainer.name, keys.explainer(request.explainer)
     episodes = tuple(
-        Piece("episodes", block, None, None, content_key("episodes", *block.key()))
+        Piece("episodes", block, None, None, piece_key("episodes", *block.key()))
         for block in blocks(world, sampling.seeds, BLOCK)
     )
     acted = tuple(blocks(world, sampling.seeds[:n_played], BEHAVIOUR_BLOCK))
@@ -100,13 +100,13 @@ def needs(request: Request, cell: Cell) -> Needs:
     def explained(kind: Kind, by: str | None, *keys: str) -> tuple[Piece, ...]:
         t = sampling.timesteps
         return tuple(
-            Piece(kind, played.block, t, by, content_key(kind, *played.block.key(), t, *keys), played)
+            Piece(kind, played.block, t, by, piece_key(kind, *played.block.key(), t, *keys), played)
             for played in episodes
         )
 
     def behaviour(by: str | None, *keys: str) -> tuple[Piece, ...]:
         return tuple(
-            Piece("behaviour", block, None, by, content_key("behaviour", *block.key(), *keys))
+            Piece("behaviour", block, None, by, piece_key("behaviour", *block.key(), *keys))
             for block in acted
         )
 
@@ -127,34 +127,18 @@ def blocks(world: World, seeds: list[int], size: int) -> Iterator[Block]:
 
 @dataclass(frozen=True)
 class Plan:
-    """A request, the pieces that it needs cell by cell, and the name of its entry in a store."""
+    """A request, and the pieces that it needs cell by cell."""
 
     request: Request
     needs: tuple[Needs, ...]
-    key: str
 
     @classmethod
-    def of(cls, request: Request, submitter: str | None) -> Plan:
-        """Of a whole entry: its pieces, and what it says of policy, explainer and submitter."""
-        needed = tuple(needs(request, cell) for cell in request.cells)
-        found = request.explainer
-        key = content_key(
-            "entry",
-            SCHEMA_VERSION,
-            request.card.model_dump(mode="json", exclude={"training", "performance"}),
-            [found.distribution, found.version, found.entry_point],
-            submitter,
-            [piece.key for each in needed for piece in each],
-        )
-        return cls(request, needed, key)
+    def of(cls, request: Request, keys: Keys) -> Plan:
+        return cls(request, tuple(needs(request, cell, keys) for cell in request.cells))
 
     def __iter__(self) -> Iterator[Piece]:
         for each in self.needs:
             yield from each
-
-    @property
-    def explainer(self) -> str:
-        return self.request.explainer.explainer.name
 
     @property
     def piece_keys(self) -> list[str]:

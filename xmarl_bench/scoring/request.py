@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.plugins.registry import FoundExplainer
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.scoring.behaviour import why_no_behaviour
@@ -17,7 +17,7 @@ class Request:
 
     policy: Policy
     card: PolicyCard
-    explainer: FoundExplainer
+    explainer: Explainer
     cells: tuple[Cell, ...]
     sampling: Sampling
     # Episodes that the team also plays on the explanation: it is asked for at every step, which costs an
@@ -37,7 +37,7 @@ class Request:
         if why_no_behaviour(cell.n_agents) is not None:
             return 0
         if self.behaviour_episodes is None:
-            return 0 if self.explainer.explainer.slow else self.sampling.episodes
+            return 0 if self.explainer.slow else self.sampling.episodes
         return min(self.behaviour_episodes, self.sampling.episodes)
 
 

@@ -15,10 +15,8 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from xmarl_bench.records.files import is_running, pretty_json, write_atomically
+from xmarl_bench.scoring.cache import RUNS, Cache
 from xmarl_bench.scoring.pieces import Plan
-from xmarl_bench.scoring.store import Store
-
-FOLDER = "runs"
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class RunRecord:
             [
                 Asked(
                     plan.request.card.name,
-                    plan.explainer,
+                    plan.request.explainer.name,
                     [piece.key for piece in plan if piece.explainer is not None],
                     [piece.key for piece in plan if piece.explainer is None],
                 )
@@ -65,14 +63,14 @@ class RunRecord:
             ],
         )
 
-    def write(self, store: Store) -> None:
+    def write(self, cache: Cache) -> None:
         name = hashlib.sha256(self.out.encode()).hexdigest()[:16]
-        write_atomically(store.folder / FOLDER / f"{name}.json", pretty_json(ADAPTER.dump_python(self)))
+        write_atomically(cache.folder / RUNS / f"{name}.json", pretty_json(ADAPTER.dump_python(self)))
 
-    def progress(self, store: Store) -> Progress:
+    def progress(self, cache: Cache) -> Progress:
         keys = {key for each in self.asked for key in each.pieces}
-        done = {key for key in keys if store.has(key)}
-        failures = {key: text for key in sorted(keys - done) if (text := store.failure(key)) is not None}
+        done = {key for key in keys if cache.has(key)}
+        failures = {key: text for key in sorted(keys - done) if (text := cache.failure(key)) is not None}
         by_explainer = Counter[str]()
         of_explainer = Counter[str]()
         for each in self.asked:
@@ -106,9 +104,9 @@ class Progress:
 ADAPTER = TypeAdapter(RunRecord)
 
 
-def run_records(store: Store) -> Iterator[RunRecord]:
-    """Of all runs that a store knows and whose folder is still there; what is no record is left out."""
-    for path in sorted((store.folder / FOLDER).glob("*.json")):
+def run_records(cache: Cache) -> Iterator[RunRecord]:
+    """Of all runs whose folder is still there. Skips invalid files."""
+    for path in sorted((cache.folder / RUNS).glob("*.json")):
         try:
             record = ADAPTER.validate_json(path.read_bytes())
         except (OSError, ValidationError):

@@ -12,27 +12,27 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from xmarl_bench.entry.file import parse_entry
 from xmarl_bench.entry.protocol import DEFINITIONS
 from xmarl_bench.entry.provenance import now, provenance
 from xmarl_bench.entry.schema import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
-from xmarl_bench.plugins.registry import FoundExplainer, as_found, find_explainer, open_policy
+from xmarl_bench.plugins.registry import checked_name, find_explainer, open_policy
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy.policy_module import PolicyModule
-from xmarl_bench.records.files import canonical_json
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import check_parallel
+from xmarl_bench.scoring.cache import Cache
 from xmarl_bench.scoring.cell_result import Controls, cell_result, total_cost
-from xmarl_bench.scoring.finished import Finished
+from xmarl_bench.scoring.piece_keys import Keys
 from xmarl_bench.scoring.pieces import Plan
 from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.results import Results
 from xmarl_bench.scoring.run_record import RunRecord
-from xmarl_bench.scoring.store import Store
 from xmarl_bench.scoring.sweep import Sweep
 
 
@@ -44,7 +44,7 @@ class Failed:
     error: str
 
     def __str__(self) -> str:
-        return f"{self.request.explainer.explainer.name} on {self.request.card.name}: {self.error}"
+        return f"{self.request.explainer.name} on {self.request.card.name}: {self.error}"
 
 
 def score(
@@ -63,7 +63,7 @@ def score(
     progress: bool = False,
     submitter: str | None = None,
     trust_code: bool = False,
-    cells: Path | None = None,
+    cache: Path | None = None,
 ) -> Entry:
     """Score one explainer on one policy in one cell.
 
@@ -79,7 +79,7 @@ def score(
         jobs: processes.
         parallel_episodes: episodes stepped side by side in a process.
         trust_code: run the code that a policy brings, where `policy` names such a one.
-        cells: folder in which finished work is kept and looked for, see `Store`; by default nothing is kept.
+        cache: folder of the pieces that need not be computed again, see `Cache`; by default nothing is kept.
 
     Raises InputError for anything wrong with these, and where the explainer fails.
     """
@@ -89,17 +89,20 @@ def score(
         network, card = policy.open(origin_of(policy.network))
     else:
         network, card = policy
-    found = find_explainer(explainer) if isinstance(explainer, str) else as_found(explainer)
+    if isinstance(explainer, str):
+        chosen = find_explainer(explainer)
+    else:
+        chosen = checked_name(as_explainer(explainer))
     cell = Cell(card.task if task is None else task, card.n_agents if n_agents is None else n_agents)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
-    request = Request(network, card, found, (cell,), sampling, behaviour_episodes)
+    request = Request(network, card, chosen, (cell,), sampling, behaviour_episodes)
     outcomes = score_requests(
         [request],
         workers=Workers(jobs),
         parallel_episodes=parallel_episodes,
         progress=progress,
         submitter=submitter,
-        store=None if cells is None else Store(cells),
+        cache=None if cache is None else Cache(cache),
     )
     return next(entries_of(outcomes))
 
@@ -111,48 +114,41 @@ def score_requests(
     parallel_episodes: int = 50,
     progress: bool = False,
     submitter: str | None = None,
-    store: Store | None = None,
+    cache: Cache | None = None,
     fresh: bool = False,
     out: Path | None = None,
 ) -> Iterator[Entry | Failed]:
     """Yield an entry per request, in order, each as soon as it is complete; or why there is none.
 
-    store: where finished work is looked for and kept, a temporary one by default. fresh: compute again what
-    it holds. out: where the entries will go, for `xmarl-bench status`. Raises InputError before anything is
+    cache: where pieces are looked for and kept, a temporary one by default. fresh: compute again what it
+    holds. out: where the entries will go, for `xmarl-bench status`. Raises InputError before anything is
     yielded where an explainer works on no policy at all, where two explainers share a name, and where
     results cannot be written.
     """
     check_parallel(parallel_episodes)
     explainers, started = _by_name(requests), now()
     with ExitStack() as stack:
-        if store is None:
-            store = Store(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="xmarl-bench-"))))
-        store.prepare()
-        plans = [Plan.of(request, submitter) for request in requests]
+        if cache is None:
+            cache = Cache(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="xmarl-bench-"))))
+        cache.prepare()
+        keys = Keys()
+        plans = [Plan.of(request, keys) for request in requests]
         if fresh:
-            for key in {key for plan in plans for key in (plan.key, *plan.piece_keys)}:
-                store.remove(key)
+            for key in {key for plan in plans for key in plan.piece_keys}:
+                cache.remove(key)
         if out is not None:
-            RunRecord.of(plans, out, started).write(store)
-        finished, controls = Finished(store), Controls()
-        kept = {plan.key for plan in plans if store.has(plan.key)}
-        proven = {plan.explainer for plan in plans if plan.key in kept}
-        sweep = Sweep(finished, explainers, workers, parallel_episodes, progress, proven)
-        settled = sweep.compute(piece for plan in plans if plan.key not in kept for piece in plan)
+            RunRecord.of(plans, out, started).write(cache)
+        results, controls = Results(cache), Controls()
+        sweep = Sweep(results, explainers, workers, parallel_episodes, progress)
+        settled = sweep.compute(piece for plan in plans for piece in plan)
         for plan in plans:
-            known = store.read(plan.key)
-            if known is not None:
-                yield parse_entry(known)
-                continue
             while not sweep.unsettled.isdisjoint(plan.piece_keys):
                 next(settled)
             error = next((sweep.errors[piece.key] for piece in plan if piece.key in sweep.errors), None)
             if error is not None:
                 yield Failed(plan.request, error)
                 continue
-            entry = _entry(plan, finished, controls, started, workers.jobs or 1, submitter)
-            store.write(plan.key, canonical_json(entry.model_dump(mode="json")))
-            yield entry
+            yield _entry(plan, results, controls, started, workers.jobs or 1, submitter)
 
 
 def entries_of(outcomes: Iterable[Entry | Failed]) -> Iterator[Entry]:
@@ -167,19 +163,19 @@ def _by_name(requests: Sequence[Request]) -> dict[str, Explainer]:
     """Raises InputError where two explainers share a name: entries are filed by it."""
     explainers: dict[str, Explainer] = {}
     for request in requests:
-        explainer = request.explainer.explainer
+        explainer = request.explainer
         if explainers.setdefault(explainer.name, explainer) != explainer:
             raise InputError(f"two explainers are named {explainer.name!r}: rename one.")
     return explainers
 
 
 def _entry(
-    plan: Plan, finished: Finished, controls: Controls, started: str, jobs: int, submitter: str | None
+    plan: Plan, results: Results, controls: Controls, started: str, jobs: int, submitter: str | None
 ) -> Entry:
     request = plan.request
-    card, found, sampling = request.card, request.explainer, request.sampling
+    card, sampling = request.card, request.sampling
     cells = [
-        cell_result(request, cell, needed, finished, controls)
+        cell_result(request, cell, needed, results, controls)
         for cell, needed in zip(request.cells, plan.needs, strict=True)
     ]
     return make_entry(
@@ -194,7 +190,7 @@ def _entry(
             training_seed=card.training_seed,
             trusted_code=isinstance(card.architecture, CodeArchitecture),
         ),
-        explainer=explainer_record(found, sampling.seed),
+        explainer=explainer_record(request.explainer, sampling.seed),
         protocol=Protocol(
             episodes=sampling.episodes,
             seeds=tuple(sampling.seeds),
@@ -207,14 +203,14 @@ def _entry(
     )
 
 
-def explainer_record(found: FoundExplainer, seed: int) -> ExplainerRecord:
+def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:
     """What an entry says of its explainer. seed: of the run."""
-    explainer = found.explainer
+    origin = origin_of_explainer(explainer)
     return ExplainerRecord(
         name=explainer.name,
-        distribution=found.distribution,
-        version=found.version,
-        entry_point=found.entry_point,
+        distribution=origin.distribution,
+        version=origin.version,
+        entry_point=origin.entry_point,
         hyperparameters=dict(explainer.hyperparameters),
         stochastic=explainer.stochastic,
         control=explainer.control,
@@ -224,5 +220,5 @@ def explainer_record(found: FoundExplainer, seed: int) -> ExplainerRecord:
         signed=NORMALISER if explainer.signed else None,
         needs_fit=explainer.fit is not None,
         accesses=explainer.accesses,
-        code_sha256=found.code_sha256,
+        code_sha256=origin.code_sha256,
     )

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 from xmarl_envs import TASKS
 
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.plugins.registry import (
-    FoundExplainer,
     explainer_names,
     find_code_policies,
     find_explainer,
     find_policies,
     open_policy,
 )
-from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_checkpoint
 from xmarl_bench.rollout.cell import Cell, Sampling, check_task
 from xmarl_bench.scoring.request import Request, check_fit
 
 ALL, FINISHED, DEFAULT = "all", "finished", "default"
+Opened = tuple[Policy, PolicyCard]
+
+
+@dataclass(frozen=True)
+class Installed:
+    """A policy of which the card alone was read."""
+
+    card: PolicyCard
+    open: Callable[[], Opened]
 
 
 def select_policies(
@@ -41,13 +52,13 @@ def select_policies(
         if task != ALL:
             check_task(task)
     wanted_tasks = list(TASKS) if ALL in tasks else list(tasks)
-    cards = _cards(names, trust_code)
-    if cards is not None:
-        chosen = [
-            name
-            for name, card in cards.items()
-            if card.task in wanted_tasks and (sizes is None or card.n_agents in sizes)
-        ]
+    meant = _meant(names, trust_code)
+    if meant is not None:
+        chosen = {
+            name: each.open
+            for name, each in meant.items()
+            if each.card.task in wanted_tasks and (sizes is None or each.card.n_agents in sizes)
+        }
         if not chosen:
             tasks_asked = "any task" if ALL in tasks else " or ".join(wanted_tasks)
             sizes_asked = "any number of" if sizes is None else " or ".join(map(str, sizes))
@@ -57,10 +68,10 @@ def select_policies(
             )
         sizes = None
     else:
-        chosen = list(dict.fromkeys(names))
+        chosen = {name: partial(open_policy, name, trust_code=trust_code) for name in names}
     selected: list[tuple[Policy, PolicyCard, tuple[Cell, ...]]] = []
-    for name in chosen:
-        policy, card = open_policy(name, trust_code=trust_code)
+    for name, open_it in chosen.items():
+        policy, card = open_it()
         check_task(card.task)
         # One name stands for one policy in a run, for entries are filed by it.
         if any(card.name == other.name for _, other, _ in selected):
@@ -76,30 +87,40 @@ def select_policies(
     return selected
 
 
-def _cards(names: Sequence[str], trust_code: bool) -> dict[str, PolicyCard] | None:
-    """The cards that words for many policies mean, by name; None where each is named by itself."""
+def _meant(names: Sequence[str], trust_code: bool) -> dict[str, Installed] | None:
+    """The policies that words for many mean, by name; None where each is named by itself."""
     installed = find_policies()
     if not set(names) - set(installed):
         return None
-    found = {name: load_card(folder) for name, folder in installed.items()}
-    families = {card.family for card in found.values() if card.family is not None}
+    cards = {name: load_card(folder) for name, folder in installed.items()}
+    families = {card.family for card in cards.values() if card.family is not None}
     words = {ALL, FINISHED, DEFAULT, *families} & set(names)
     if not words:
         return None
+    found = {
+        name: Installed(card, partial(load_policy, installed[name], card)) for name, card in cards.items()
+    }
     if trust_code:
-        found |= {name: open_policy(name, trust_code=True)[1] for name in find_code_policies()}
+        for name in find_code_policies():
+            opened = open_policy(name, trust_code=True)
+            found[name] = Installed(opened[1], partial(_already, opened))
     if ALL in words:
         return found
-    finished = {name: card for name, card in found.items() if not is_checkpoint(card)}
-    best = {card.name for card in default_policies(finished.values())} if DEFAULT in words else set()
+    finished = {name: each for name, each in found.items() if not is_checkpoint(each.card)}
+    cards_of_them = [each.card for each in finished.values()]
+    best = {card.name for card in default_policies(cards_of_them)} if DEFAULT in words else set()
     return {
-        name: card
-        for name, card in finished.items()
-        if FINISHED in words or card.family in words or card.name in best
+        name: each
+        for name, each in finished.items()
+        if FINISHED in words or each.card.family in words or each.card.name in best
     }
 
 
-def select_explainers(names: Sequence[str]) -> list[FoundExplainer]:
+def _already(opened: Opened) -> Opened:
+    return opened
+
+
+def select_explainers(names: Sequence[str]) -> list[Explainer]:
     """`all` leaves controls out, for every entry carries them."""
     everything = [name for name in explainer_names() if name not in CONTROLS]
     return [find_explainer(name) for name in (everything if ALL in names else dict.fromkeys(names))]
@@ -107,7 +128,7 @@ def select_explainers(names: Sequence[str]) -> list[FoundExplainer]:
 
 def plan(
     policies: Sequence[tuple[Policy, PolicyCard, tuple[Cell, ...]]],
-    explainers: Sequence[FoundExplainer],
+    explainers: Sequence[Explainer],
     sampling: Sampling,
     slow: Sampling | None = None,
     *,
@@ -121,20 +142,20 @@ def plan(
     behaviour_episodes, no_behaviour: see `Request.behaviour_episodes`, and explainers that get none; ALL is
     all of them. Raises InputError where one of these names is of no explainer of the run.
     """
-    names = [found.explainer.name for found in explainers]
+    names = [explainer.name for explainer in explainers]
     for name in no_behaviour:
         if name != ALL and name not in names:
             raise unknown("explainer", name, [*names, ALL], "for those are what is scored")
-    any_slow = slow is not None and slow != sampling and any(found.explainer.slow for found in explainers)
+    any_slow = slow is not None and slow != sampling and any(explainer.slow for explainer in explainers)
     requests = []
     for policy, card, cells in policies:
-        for found in explainers:
+        for explainer in explainers:
             samplings = [sampling]
             if any_slow and slow is not None:
-                samplings = [slow] if found.explainer.slow else [sampling, slow]
-            none = ALL in no_behaviour or found.explainer.name in no_behaviour
+                samplings = [slow] if explainer.slow else [sampling, slow]
+            none = ALL in no_behaviour or explainer.name in no_behaviour
             played = 0 if none else behaviour_episodes
-            requests += [Request(policy, card, found, cells, each, played) for each in samplings]
+            requests += [Request(policy, card, explainer, cells, each, played) for each in samplings]
     return requests
 
 

@@ -1,6 +1,6 @@
-"""Computes the pieces that a store lacks, on however many workers, and files each result as it comes.
+"""Computes the pieces that the cache lacks, on however many workers, and files each result as it comes.
 
-The parent alone reads and writes the store: workers are handed policy and observations, and need no file
+The parent alone reads and writes the cache: workers are handed policy and observations, and need no file
 system in common. A piece that fails is recorded with its error and stops no other.
 """
 
@@ -18,9 +18,9 @@ from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.rollout.episodes import Episode, Rollout
 from xmarl_bench.scoring.behaviour import BehaviourBlock, Played
 from xmarl_bench.scoring.carried import Carried
-from xmarl_bench.scoring.finished import Finished, Result, encode
 from xmarl_bench.scoring.measure import Explained, Measured, Unit
 from xmarl_bench.scoring.pieces import Piece, World
+from xmarl_bench.scoring.results import Result, Results
 
 Group = tuple[Piece, ...]  # of the same states, which one worker prepares once; or one block to act out
 Load = tuple[Unit, ...] | BehaviourBlock | str  # a group; a text is why it cannot be had
@@ -47,7 +47,7 @@ def run(handed: Handed) -> Returned:
 class Sweep:
     """One run over all that is missing, by the keys of the pieces: which are to come, and why some failed."""
 
-    finished: Finished
+    results: Results
     explainers: dict[str, Explainer]  # by name
     workers: Workers
     parallel_episodes: int
@@ -61,11 +61,11 @@ class Sweep:
         """Each missing piece once, when it is settled: filed, or one of `errors`.
 
         Raises InputError before anything is explained where an explainer works on no policy at all, and
-        where the store cannot be written.
+        where the cache cannot be written.
         """
         missing = dict[str, Piece]()
         for piece in pieces:
-            if not self.finished.has(piece):
+            if not self.results.has(piece):
                 missing[piece.key] = piece
             elif piece.explainer is not None:
                 self.proven.add(piece.explainer)
@@ -185,7 +185,7 @@ class Sweep:
                 sanity=k < SANITY_EPISODES,
                 shared=any(each.kind == "shared" for each in group),
             )
-            for k, episode in enumerate(self.finished.episodes(source), start=piece.block.first)
+            for k, episode in enumerate(self.results.episodes(source), start=piece.block.first)
         )
 
     def _acting(self, piece: Piece) -> BehaviourBlock:
@@ -201,12 +201,12 @@ class Sweep:
         self.unsettled.discard(piece.key)
         if isinstance(result, Failure):
             self.errors[piece.key] = result.error
-            self.finished.store.fail(piece.key, f"{result.error}\n{result.traceback or ''}")
+            self.results.cache.fail(piece.key, f"{result.error}\n{result.traceback or ''}")
         elif isinstance(result, InputError):
             self.errors[piece.key] = str(result)
-            self.finished.store.fail(piece.key, str(result))
+            self.results.cache.fail(piece.key, str(result))
         else:
-            self.finished.store.write(piece.key, encode(result))  # type: ignore[arg-type]
+            self.results.write(piece, result)  # type: ignore[arg-type]
         return piece
 
 

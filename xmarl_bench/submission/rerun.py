@@ -16,8 +16,8 @@ import numpy as np
 from xmarl_bench.entry.aggregation import BEHAVIOUR
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.entry.schema import BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.fitting import fitted
-from xmarl_bench.plugins.registry import FoundExplainer
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
@@ -48,7 +48,7 @@ def rerun(
     entry: Entry,
     policy: Policy,
     card: PolicyCard,
-    found: FoundExplainer,
+    explainer: Explainer,
     *,
     episodes: int | None,
     rng: np.random.Generator,
@@ -66,7 +66,7 @@ def rerun(
             seed=entry.explainer.seed,
         )
         cells = (Cell(cell.task, cell.n_agents),)
-        request = Request(policy, card, found, cells, sampling, cell.behaviour_episodes)
+        request = Request(policy, card, explainer, cells, sampling, cell.behaviour_episodes)
         if episodes is None:
             _full(result, f"results.{k}", cell, request)
         else:
@@ -86,7 +86,7 @@ def record_findings(entry: ExplainerRecord, found: ExplainerRecord) -> Iterator[
 
 def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen: Sequence[int]) -> None:
     sampling = request.sampling
-    explainer = fitted(request.explainer.explainer, request.policy, cell.task, cell.n_agents, sampling.seed)
+    explainer = fitted(request.explainer, request.policy, cell.task, cell.n_agents, sampling.seed)
     seeds = tuple(sampling.seeds[k] for k in chosen)
     rollout = Rollout(request.policy, cell.task, cell.n_agents, seeds, sampling.max_cycles)
     for k, episode in zip(chosen, rollout.play(), strict=True):

@@ -54,8 +54,8 @@ class Worker:
         from xmarl_bench.plugins.registry import find_explainer
         from xmarl_bench.scoring.score import explainer_record
 
-        self.found = find_explainer(self.name)
-        return explainer_record(self.found, 0).model_dump(mode="json"), b""
+        self.explainer = find_explainer(self.name)
+        return explainer_record(self.explainer, 0).model_dump(mode="json"), b""
 
     def answer(
         self, what: str, policy: Any, observations: Any, seed: int, fitted: str | None
@@ -67,7 +67,7 @@ class Worker:
         from xmarl_bench.reproducible import one_thread
 
         x = torch.tensor(observations)
-        explainer = self.found.explainer if fitted is None else self.fitted[fitted]
+        explainer = self.explainer if fitted is None else self.fitted[fitted]
         with one_thread():
             if what == "fit":
                 key = str(len(self.fitted))

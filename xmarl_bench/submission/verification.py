@@ -20,7 +20,8 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.origin.installed import package_version
-from xmarl_bench.plugins.registry import EXPLAINERS, FoundExplainer, find_explainer, find_policy
+from xmarl_bench.origin.references import Origin
+from xmarl_bench.plugins.registry import EXPLAINERS, find_explainer, find_policy
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.records.strict_json import shown
 from xmarl_bench.scoring.score import explainer_record
@@ -123,13 +124,13 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
     rng = np.random.default_rng(options.seed)
     with ExitStack() as stack:
         policy, card = _policy(checked, entry)
-        found, findings = _explainer(entry, options, stack)
+        explainer, findings = _explainer(entry, options, stack)
         if card.weights_sha256 != entry.policy.weights_sha256:
             findings.append(f"policy {entry.policy.name!r} is installed with other weights than the entry's.")
         if findings:
             return Verdict(entry, options.tier, bitwise, 0, None, tuple(findings))
         episodes = None if options.tier is Tier.full else options.episodes
-        again = rerun(entry, policy, card, found, episodes=episodes, rng=rng)
+        again = rerun(entry, policy, card, explainer, episodes=episodes, rng=rng)
     apart = disagreeing(again.episodes, bitwise=bitwise)
     tolerance = None if bitwise else AGGREGATES
     apart += [each for each in again.aggregates if not agrees(each, tolerance)]
@@ -160,12 +161,12 @@ def _policy(checked: Checked, entry: Entry) -> tuple[Policy, PolicyCard]:
     return checked.load_policy(name) if name in checked.policies else load_policy(find_policy(name))
 
 
-def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[FoundExplainer, list[str]]:
+def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[Explainer, list[str]]:
     """The explainer to run, in a sandbox unless it is ours, and what it says otherwise than the entry."""
     name = entry.explainer.name if options.explainer is None else options.explainer
     if options.explainer is None and _is_ours(name):
-        found = find_explainer(name)
-        return found, list(record_findings(entry.explainer, explainer_record(found, 0)))
+        ours = find_explainer(name)
+        return ours, list(record_findings(entry.explainer, explainer_record(ours, 0)))
     if not options.trust_code:
         raise InputError(
             f"explainer {shown(name)} is code of others: read it, then add --trust-code to run it walled in."
@@ -179,9 +180,9 @@ def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[FoundE
         binary=declared.binary,
         hyperparameters=declared.hyperparameters,
         fit=sandbox.fit if declared.needs_fit else None,
+        origin=Origin(declared.distribution, declared.version, declared.entry_point),
     )
-    found = FoundExplainer(explainer, declared.distribution, declared.version, declared.entry_point)
-    return found, list(record_findings(entry.explainer, declared))
+    return explainer, list(record_findings(entry.explainer, declared))
 
 
 def _is_ours(name: str) -> bool:

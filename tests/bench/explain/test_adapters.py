@@ -25,10 +25,10 @@ from tests.conftest import MakeBundle
 from tests.policies import random_observations, small_policy
 from xmarl_bench import as_explainer, score
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.adapters import code_of, kebab
+from xmarl_bench.explain.adapters import kebab, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
-from xmarl_bench.plugins.registry import as_found
+from xmarl_bench.plugins.registry import checked_name
 from xmarl_bench.policy import Policy
 
 QUICK = {"episodes": 2, "timesteps": 2, "max_cycles": 5, "behaviour_episodes": 0}
@@ -264,9 +264,9 @@ def test_algorithms_of_pyg_and_captum_are_taken_as_they_are(name: str) -> None:
         masks.append(run_explainer(ready, POLICY, OBSERVATIONS, 7))
     assert torch.equal(masks[0], masks[1])
     assert float(masks[0].std()) > 0 or "mask" in name
-    found = as_found(explainer)
-    assert found.distribution == "torch-geometric"
-    assert found.entry_point.endswith(f":{type(ALGORITHMS[name]()).__name__}")
+    origin = origin_of_explainer(explainer)
+    assert origin.distribution == "torch-geometric"
+    assert origin.entry_point.endswith(f":{type(ALGORITHMS[name]()).__name__}")
 
 
 def test_settings_of_an_algorithm_are_recorded_and_its_own() -> None:
@@ -291,16 +291,16 @@ def test_explainers_go_to_worker_processes(thing: object) -> None:
 
 def test_what_was_brought_is_known_by_its_source(make_bundle: MakeBundle) -> None:
     for thing in (attended, Tempered, Tempered(), Tempered().explain):
-        found = as_found(thing)
-        assert found.entry_point == f"{__name__}:{'attended' if thing is attended else 'Tempered'}", found
-        assert found.code_sha256 is not None
-    assert as_found(attended).code_sha256 != as_found(swapped).code_sha256
-    assert code_of(as_explainer(attended)) is attended
-    assert score(make_bundle(), attended, **QUICK).explainer.code_sha256 == as_found(attended).code_sha256  # type: ignore[arg-type]
+        origin = origin_of_explainer(as_explainer(thing))
+        assert origin.entry_point == f"{__name__}:{'attended' if thing is attended else 'Tempered'}", origin
+        assert origin.code_sha256 is not None
+    known, another = (origin_of_explainer(as_explainer(each)).code_sha256 for each in (attended, swapped))
+    assert known != another
+    assert score(make_bundle(), attended, **QUICK).explainer.code_sha256 == known  # type: ignore[arg-type]
     with pytest.raises(InputError, match="has the name of a control"):
-        as_found(replace(as_explainer(attended), name="random"))
+        checked_name(replace(as_explainer(attended), name="random"))
     with pytest.raises(InputError, match="cannot be part of a file name"):
-        as_found(replace(as_explainer(attended), name="../x"))
+        checked_name(replace(as_explainer(attended), name="../x"))
 
 
 @pytest.mark.parametrize(

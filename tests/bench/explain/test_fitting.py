@@ -9,7 +9,6 @@ from tests.conftest import MakeBundle
 from tests.policies import small_policy
 from xmarl_bench import as_explainer
 from xmarl_bench.explain.fitting import FIRST_FIT_SEED, FIT_EPISODES, FIT_TIMESTEPS, fit_states
-from xmarl_bench.plugins.registry import as_found
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.render.recording import record
 from xmarl_bench.reproducible import FIRST_SEED
@@ -47,12 +46,12 @@ def test_states_are_of_other_episodes_than_any_score() -> None:
 
 def test_a_run_fits_once_and_refits_for_shuffled_weights(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
-    found = as_found(as_explainer(Learner))
+    learner = as_explainer(Learner)
     samplings = (
         Sampling(episodes=3, timesteps=2, max_cycles=4),
         Sampling(episodes=2, timesteps=1, max_cycles=4),
     )
-    requests = [Request(policy, card, found, (Cell(card.task, 3),), each, 1) for each in samplings]
+    requests = [Request(policy, card, learner, (Cell(card.task, 3),), each, 1) for each in samplings]
     FITTED.clear()
     entries = list(entries_of(score_requests(requests)))
     first, *others = FITTED

@@ -12,7 +12,8 @@ import pytest
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.errors import InputError
-from xmarl_bench.origin.references import is_reference, load_reference, origin_of
+from xmarl_bench.explain.adapters import origin_of_explainer
+from xmarl_bench.origin.references import Origin, is_reference, load_reference, origin_of
 from xmarl_bench.plugins.registry import find_explainer
 
 CODE = '''
@@ -51,17 +52,18 @@ def test_functions_classes_and_objects_of_a_file(file: Path) -> None:
         ("Scaled", "scaled", 0.5),
         ("half", "scaled", 0.25),
     ):
-        found = find_explainer(f"{file}:{name}")
-        assert (found.explainer.name, found.entry_point) == (known, f"own.py:{name}")
-        assert (found.distribution, found.version, found.code_sha256) == (None, None, digest)
-        assert found.explainer.hyperparameters.get("scale") == scale
+        explainer = find_explainer(f"{file}:{name}")
+        assert explainer.name == known
+        assert explainer.origin == Origin(None, None, f"own.py:{name}", digest)
+        assert explainer.hyperparameters.get("scale") == scale
 
 
 def test_a_module_is_known_by_its_package() -> None:
-    found = find_explainer("torch_geometric.explain:DummyExplainer")
-    assert found.explainer.name == "dummy-explainer"
-    assert (found.distribution, found.code_sha256) == ("torch-geometric", None)
-    assert origin_of(Path).sha256 is None or origin_of(Path).distribution is None
+    explainer = find_explainer("torch_geometric.explain:DummyExplainer")
+    assert explainer.name == "dummy-explainer"
+    origin = origin_of_explainer(explainer)
+    assert (origin.distribution, origin.code_sha256) == ("torch-geometric", None)
+    assert origin_of(Path).code_sha256 is None or origin_of(Path).distribution is None
     assert not is_reference("attention")
 
 
@@ -70,7 +72,7 @@ def test_a_changed_file_is_loaded_again(file: Path) -> None:
     file.write_text(CODE.replace("0.25", "0.75"))
     second, changed = load_reference(f"{file}:half")
     assert (first.scale, second.scale) == (0.25, 0.75)
-    assert origin.sha256 != changed.sha256
+    assert origin.code_sha256 != changed.code_sha256
 
 
 def test_two_files_of_one_name_do_not_mix(file: Path, tmp_path: Path) -> None:
@@ -84,8 +86,7 @@ def test_two_files_of_one_name_do_not_mix(file: Path, tmp_path: Path) -> None:
 def test_a_file_takes_no_modules_place(file: Path) -> None:
     named = file.with_name("json.py")
     named.write_text(CODE)
-    found = find_explainer(f"{named}:half")
-    assert found.entry_point == "json.py:half"
+    assert origin_of_explainer(find_explainer(f"{named}:half")).entry_point == "json.py:half"
     assert sys.modules["json"] is json
 
 

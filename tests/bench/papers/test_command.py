@@ -138,8 +138,8 @@ def test_every_explainer_of_the_ledgers(
     policies = [argument for folder in folders for argument in ("--policy", folder)]
     written = []
     for jobs in (1, 2):
-        out, cells = tmp_path / f"jobs{jobs}", tmp_path / f"cells{jobs}"
-        folders_of_run = ("--out", out, "--cells", cells)
+        out, cache = tmp_path / f"jobs{jobs}", tmp_path / f"cache{jobs}"
+        folders_of_run = ("--out", out, "--cache", cache)
         ran = run_cli("study", "main", *policies, *arguments, "--jobs", jobs, *folders_of_run)
         assert ran.code == 0, ran.err
         written.append((out / "results.json").read_bytes())

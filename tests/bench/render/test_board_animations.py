@@ -25,7 +25,7 @@ def board(tmp_path: Path, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPat
     install(monkeypatch, small=bundle)
     monkeypatch.setattr(animation, "SMALL_FRAMES", 4)
     folder = tmp_path / "board"
-    entry = score(bundle, find_explainer("random").explainer, episodes=1, timesteps=2, max_cycles=6)
+    entry = score(bundle, find_explainer("random"), episodes=1, timesteps=2, max_cycles=6)
     write_entry(folder / "entries", entry)
     write_entry(folder / "entries", made_entry("stranger", "random", 0.5))
     build_board(folder)

@@ -44,7 +44,7 @@ def test_a_full_disk(size: int, run_cli: RunCli, make_bundle: MakeBundle, out: P
     with files_of_at_most(size):
         assert_refused(score(run_cli, folder, out, "--no-resume"), "cannot be written (File too large)")
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
-    assert not list((tmp_path / "cells").rglob("*.tmp"))
+    assert not list((tmp_path / "cache").rglob("*.tmp"))
     assert score(run_cli, folder, out).code == 0
     assert (out / "leaderboard.json").read_bytes() == before[out / "leaderboard.json"]
 
@@ -56,11 +56,11 @@ def test_an_entry_that_has_vanished(run_cli: RunCli, make_bundle: MakeBundle, ou
     assert [path.name for path in (out / "entries").iterdir()] == ["gone.json"]
 
 
-def test_cells_that_cannot_be_written(
+def test_a_cache_that_cannot_be_written(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "file").write_text("")
-    assert_refused(score(run_cli, make_bundle(), out, "--cells", tmp_path / "file"), "cannot be written")
+    assert_refused(score(run_cli, make_bundle(), out, "--cache", tmp_path / "file"), "cannot be written")
     assert not out.exists()
 
 
@@ -69,14 +69,14 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
     assert score(run_cli, make_bundle(), out).code == 0
     told = run_cli("status", out)
     assert told.code == 0
-    assert f"{out}: finished, 5 of 5 cells, 1 of 1 entries." in told.out
+    assert f"{out}: finished, 5 of 5 pieces, 1 of 1 entries." in told.out
     assert "xmarl-bench score --policy" in told.out
     (row,) = json.loads(run_cli("status", "--json").out)
     assert row["state"] == "finished"
-    assert row["cells"] == [5, 5]
-    for result in (out.parent / "cells").glob("??/*"):
+    assert row["pieces"] == [5, 5]
+    for result in (out.parent / "cache").glob("*/??/*"):
         result.unlink()
     (row,) = json.loads(run_cli("status", "--json").out)
-    assert row["cells"] == [0, 5]
+    assert row["pieces"] == [0, 5]
     assert row["explainers"] == {"attention": [0, 2]}  # explained, and acted on
     assert_refused(run_cli("status", out / "elsewhere"), "no run is known")

@@ -16,7 +16,7 @@ from xmarl_bench.entry.schema import BehaviourMetrics, Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.parallel.workers import Workers
-from xmarl_bench.plugins.registry import as_found, find_explainer
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.reproducible import FIRST_SEED, derived_seed, episode_seeds
@@ -175,7 +175,7 @@ def test_fewer_behaviour_episodes_are_the_first_of_more(make_bundle: MakeBundle)
 def test_two_explainers_of_one_name_are_refused(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     requests = [
-        Request(policy, card, as_found(replace(slow, summary=text)), (Cell(card.task, 3),), Sampling(1))
+        Request(policy, card, replace(slow, summary=text), (Cell(card.task, 3),), Sampling(1))
         for text in ("one", "another")
     ]
     with pytest.raises(InputError, match="two explainers are named 'slow'"):
@@ -204,8 +204,8 @@ def test_a_bad_explainer_yields_nothing(name: str, make_bundle: MakeBundle) -> N
 def test_a_bad_explainer_is_refused_before_a_good_one_is_scored(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     requests = [
-        Request(policy, card, found, (Cell(card.task, 3),), Sampling(episodes=2, max_cycles=10))
-        for found in (find_explainer("attention"), as_found(BAD["nan"]))
+        Request(policy, card, explainer, (Cell(card.task, 3),), Sampling(episodes=2, max_cycles=10))
+        for explainer in (find_explainer("attention"), BAD["nan"])
     ]
     with pytest.raises(InputError, match="'nan'"):
         next(entries_of(score_requests(requests)))
@@ -236,11 +236,9 @@ def test_options_out_of_range_are_refused(
 def test_slow_explainers_get_few_states_and_the_others_both(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     selected = [(policy, card, (Cell(card.task, 3),))]
-    explainers = [find_explainer("random"), find_explainer("attention"), as_found(slow)]
+    explainers = [find_explainer("random"), find_explainer("attention"), slow]
     full, few = Sampling(episodes=50), Sampling(episodes=5, timesteps=20)
-    planned = [
-        (each.explainer.explainer.name, each.sampling) for each in plan(selected, explainers, full, few)
-    ]
+    planned = [(each.explainer.name, each.sampling) for each in plan(selected, explainers, full, few)]
     assert planned == [
         ("random", full), ("random", few), ("attention", full), ("attention", few), ("slow", few),
     ]  # fmt: skip

@@ -29,9 +29,9 @@ Inodes = Mapping[Path, int]
 pytestmark = pytest.mark.slow
 
 
-def results(cells: Path) -> Inodes:
-    """Every result on disk; one that is written again is another file."""
-    return {path: path.stat().st_ino for path in cells.glob("??/*") if not path.name.startswith(".")}
+def results(cache: Path) -> Inodes:
+    """Every piece on disk; one that is written again is another file."""
+    return {path: path.stat().st_ino for path in cache.glob("*/??/*") if not path.name.startswith(".")}
 
 
 def hidden(folder: Path) -> set[str]:
@@ -50,7 +50,7 @@ class Sweep:
 
     @staticmethod
     def request(arguments: tuple[str, ...], folder: Path, jobs: int) -> Request:
-        options = ("--out", str(folder / "out"), "--cells", str(folder / "cells"), "--jobs", str(jobs))
+        options = ("--out", str(folder / "out"), "--cache", str(folder / "cache"), "--jobs", str(jobs))
         return {"command": ["xmarl-bench", "score", *arguments, *options], "touched": str(folder)}
 
 
@@ -94,17 +94,17 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sweep]:
     ],
 )  # fmt: skip
 def test_killed_at_any_moment(victim: str, jobs: int, kills: int, sweep: Sweep, tmp_path: Path) -> None:
-    out, cells = tmp_path / "out", tmp_path / "cells"
+    out, cache = tmp_path / "out", tmp_path / "cache"
     rng, struck, finished = np.random.default_rng(0), 0, 0
     while struck < kills or not finished:
-        before = results(cells)
+        before = results(cache)
         request = Sweep.request(sweep.arguments, tmp_path, jobs)
         if struck < kills:
             request["victim"] = victim
             request["kill_at"] = int(rng.integers(sweep.touches))
         done = sweep.ask(request)
         struck += done["killed"]
-        after = results(cells)
+        after = results(cache)
         assert {path: after.get(path) for path in before} == before  # nothing finished is computed again
         if done["code"] != 0:
             assert done["killed"], done["err"]
@@ -114,7 +114,7 @@ def test_killed_at_any_moment(victim: str, jobs: int, kills: int, sweep: Sweep, 
         assert (out / "leaderboard.json").read_bytes() == sweep.board
         assert [entry.entry_id for _, entry in read_entries(out / "entries")] == sweep.entry_ids
         assert hidden(out) == set()
-        assert hidden(cells) == {".gitignore"}
+        assert hidden(cache) == {".gitignore"}
         shutil.rmtree(out)
-        shutil.rmtree(cells)
+        shutil.rmtree(cache)
     assert struck == kills

@@ -4,37 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from tests.bench.example_plugins import BAD
 from tests.conftest import MakeBundle
-from xmarl_bench.entry.schema import Entry
+from xmarl_bench.entry import aggregation
+from xmarl_bench.entry.aggregation import summarise
+from xmarl_bench.entry.schema import Entry, Summary
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.plugins.registry import FoundExplainer, as_found, find_explainer
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
 from xmarl_bench.scoring import sweep as module
+from xmarl_bench.scoring.cache import Cache
 from xmarl_bench.scoring.measure import Unit
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.run_record import run_records
 from xmarl_bench.scoring.score import Failed, score_requests
-from xmarl_bench.scoring.store import Store
 from xmarl_bench.scoring.sweep import Handed, run
 
 SAMPLING = Sampling(episodes=12, timesteps=2, max_cycles=5)
 
 
-def request(
-    folder: Path, found: FoundExplainer | str = "attention", sampling: Sampling = SAMPLING
-) -> Request:
+def request(folder: Path, explainer: Explainer | str = "attention", sampling: Sampling = SAMPLING) -> Request:
     policy, card = load_policy(folder)
-    explainer = find_explainer(found) if isinstance(found, str) else found
+    explainer = find_explainer(explainer) if isinstance(explainer, str) else explainer
     return Request(policy, card, explainer, (Cell(card.task, card.n_agents),), sampling, 0)
 
 
@@ -71,33 +73,37 @@ def spy(monkeypatch: pytest.MonkeyPatch) -> Spy:
 
 
 def outcomes(folder: Path, requests: Sequence[Request], **options: bool) -> list[Entry | Failed]:
-    return list(score_requests(requests, store=Store(folder), **options))  # type: ignore[arg-type]
+    return list(score_requests(requests, cache=Cache(folder), **options))  # type: ignore[arg-type]
+
+
+def ids(found: Sequence[Entry | Failed]) -> list[str]:
+    return [each.entry_id for each in found if isinstance(each, Entry)]
 
 
 def test_what_is_there_is_not_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
-    one, store = make_bundle(name="one"), tmp_path / "cells"
-    first = outcomes(store, [request(one)])
+    one, cache = make_bundle(name="one"), tmp_path / "cache"
+    first = outcomes(cache, [request(one)])
     assert spy.take() == ["play 10", "play 2", "attention shared 10", "attention shared 2"]
-    second = outcomes(store, [request(one), request(one, "attention-rowmax")])
+    second = outcomes(cache, [request(one), request(one, "attention-rowmax")])
     assert spy.take() == ["attention-rowmax 10", "attention-rowmax 2"]
-    assert second[:1] == first  # provenance and cost are those of the first time
+    assert ids(second[:1]) == ids(first)
     longer = replace(SAMPLING, episodes=22)
-    outcomes(store, [request(one, sampling=longer)])
+    outcomes(cache, [request(one, sampling=longer)])
     assert spy.take() == ["play 10", "play 2", "attention shared 10", "attention shared 2"]
-    assert outcomes(store, [request(one)], fresh=True) != first
+    assert ids(outcomes(cache, [request(one)], fresh=True)) == ids(first)
     assert spy.take() == ["play 10", "play 2", "attention shared 10", "attention shared 2"]
 
 
 def test_a_damaged_result_is_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
-    asked, store = request(make_bundle()), Store(tmp_path / "cells")
-    (whole,) = outcomes(store.folder, [asked])
+    asked, cache = request(make_bundle()), Cache(tmp_path / "cache")
+    (whole,) = outcomes(cache.folder, [asked])
     assert isinstance(whole, Entry)
     spy.take()
-    files = sorted(path for path in store.folder.glob("??/*"))
-    assert len(files) == 7  # two of each kind, and the entry
+    files = sorted(path for path in cache.folder.glob("*/??/*"))
+    assert len(files) == 6  # two of each kind
     for path in files:
         path.write_bytes(path.read_bytes()[:-1])
-    (again,) = outcomes(store.folder, [asked])
+    (again,) = outcomes(cache.folder, [asked])
     assert isinstance(again, Entry)
     assert again.entry_id == whole.entry_id
     assert len(spy.take()) == 4
@@ -110,7 +116,7 @@ def picky(policy: Policy, observations: Tensor, generator: torch.Generator) -> T
     return torch.ones(*observations.shape[:2], observations.shape[1])
 
 
-PICKY = as_found(Explainer("picky", picky))
+PICKY = Explainer("picky", picky)
 
 
 def test_a_failure_stops_no_other_and_is_tried_again(
@@ -118,7 +124,7 @@ def test_a_failure_stops_no_other_and_is_tried_again(
 ) -> None:
     three, four = make_bundle(name="three"), make_bundle(name="four", n_agents=4)
     requests = [request(folder, found) for folder in (four, three) for found in (PICKY, "attention")]
-    first = outcomes(tmp_path / "cells", requests)
+    first = outcomes(tmp_path / "cache", requests)
     failed, *others = first
     assert spy.take()[4:6] == [
         "attention shared 10",
@@ -129,8 +135,8 @@ def test_a_failure_stops_no_other_and_is_tried_again(
     assert "three, please" in failed.error
     assert str(failed).startswith("picky on four: ")
     assert [type(each) for each in others] == [Entry] * 3
-    again = outcomes(tmp_path / "cells", requests)
-    assert again[1:] == others
+    again = outcomes(tmp_path / "cache", requests)
+    assert ids(again[1:]) == ids(others)
     assert isinstance(again[0], Failed)
     assert spy.take() == ["picky 10", "picky 2"]
 
@@ -140,7 +146,7 @@ def test_an_explainer_that_works_nowhere_is_refused_before_anything_is_explained
 ) -> None:
     folder = make_bundle()
     with pytest.raises(InputError, match="'nan'"):
-        outcomes(tmp_path / "cells", [request(folder), request(folder, as_found(BAD["nan"]))])
+        outcomes(tmp_path / "cache", [request(folder), request(folder, BAD["nan"])])
     assert spy.take() == ["play 10", "play 2"]
 
 
@@ -157,33 +163,82 @@ def test_blame_is_exact_where_a_whole_group_fails(
 
     monkeypatch.setattr(module, "run", out_of_memory)
     folder = make_bundle()
-    found = outcomes(tmp_path / "cells", [request(folder, name) for name in ("occlusion", "attention")])
+    found = outcomes(tmp_path / "cache", [request(folder, name) for name in ("occlusion", "attention")])
     assert isinstance(found[0], Failed)
     assert found[0].error == "MemoryError: no more"
     assert isinstance(found[1], Entry)
-    failures = [path.read_text() for path in (tmp_path / "cells").glob("??/*.failed")]
+    failures = [path.read_text() for path in (tmp_path / "cache").glob("*/??/*.failed")]
     assert len(failures) == 2
     assert all("MemoryError: no more" in text and "Traceback" in text for text in failures)
     monkeypatch.setattr(module, "run", run)
     assert all(
-        isinstance(each, Entry) for each in outcomes(tmp_path / "cells", [request(folder, "occlusion")])
+        isinstance(each, Entry) for each in outcomes(tmp_path / "cache", [request(folder, "occlusion")])
     )
-    assert not list((tmp_path / "cells").glob("??/*.failed"))
+    assert not list((tmp_path / "cache").glob("*/??/*.failed"))
 
 
 def test_the_record_of_a_run_says_how_far_it_is(make_bundle: MakeBundle, tmp_path: Path) -> None:
-    store, out = Store(tmp_path / "cells"), tmp_path / "out"
+    cache, out = Cache(tmp_path / "cache"), tmp_path / "out"
     three, four = make_bundle(name="three"), make_bundle(name="four", n_agents=4)
     requests = [request(three), request(four, PICKY), request(three, PICKY)]
     out.mkdir()
-    results = score_requests(requests, store=store, out=out)
+    results = score_requests(requests, cache=cache, out=out)
     next(results)
-    (record,) = run_records(store)
-    progress = record.progress(store)
+    (record,) = run_records(cache)
+    progress = record.progress(cache)
     assert progress.running
     assert progress.entries == 1
     assert progress.explainers["attention"] == (2, 2)
     list(results)
-    progress = record.progress(store)
+    progress = record.progress(cache)
     assert (progress.done, progress.pieces, progress.entries) == (12, 14, 2)
     assert {text.splitlines()[0] for text in progress.failures.values()} != set()
+
+
+def by_median(values: Sequence[float | None], rng: np.random.Generator) -> Summary:
+    known = [value for value in values if value is not None]
+    median = float(np.median(known)) if known else None
+    return summarise(values, rng).model_copy(update={"value": median})
+
+
+AGGREGATIONS = {"percentiles": partial(aggregation.percentiles, confidence=0.5), "summarise": by_median}
+
+
+def test_an_entry_follows_the_aggregation_at_once_though_pieces_are_cached(
+    make_bundle: MakeBundle, tmp_path: Path, spy: Spy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, cache = make_bundle(), tmp_path / "cache"
+
+    def interval() -> tuple[float | None, object]:
+        (entry,) = outcomes(cache, [request(folder)])
+        assert isinstance(entry, Entry)
+        fid_plus = entry.results[0].metrics.fid_plus
+        assert fid_plus is not None
+        return fid_plus.value, fid_plus.interval
+
+    first = interval()
+    spy.take()
+    assert interval() == first
+    for name, other in AGGREGATIONS.items():
+        with monkeypatch.context() as patch:
+            patch.setattr(aggregation, name, other)
+            assert interval() != first, name
+    assert spy.take() == []
+
+
+def test_episodes_are_read_from_the_cache_once_a_run(
+    make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads: list[str] = []
+    read = Cache.read
+
+    def spied_read(cache: Cache, key: str) -> bytes | None:
+        reads.append(key)
+        return read(cache, key)
+
+    monkeypatch.setattr(Cache, "read", spied_read)
+    folder = make_bundle()
+    for _ in range(2):
+        outcomes(tmp_path / "cache", [request(folder, name) for name in ("attention", "occlusion")])
+        assert len(reads) == len(set(reads)) == 8  # 2 blocks: played, shared, and of two explainers
+        reads.clear()

@@ -76,7 +76,7 @@ def test_masks_are_the_same_and_harm_is_one_sentence(
 ) -> None:
     monkeypatch.setenv("SECRET_TOKEN", "hunter2")
     policy, x = small_policy(6), random_observations(5, 3, 6) * 0.1
-    own = fit_explainer(find_explainer(stranger).explainer, policy, x, 3)
+    own = fit_explainer(find_explainer(stranger), policy, x, 3)
 
     def doing(what: int) -> torch.Tensor:
         observations = x.clone()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from xmarl_bench.errors import InputError, unknown
+from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.papers.kailas2025 import main_claims, training_claims, zero_shot_claims
 from xmarl_bench.papers.kailas2025.beyond_claims import BEYOND_CLAIMS
 from xmarl_bench.papers.kailas2025.claims import MENDED, PAPER_EXPLAINERS, Cell, Claim
@@ -14,7 +15,7 @@ from xmarl_bench.papers.kailas2025.paper import NAVIGATION, TRAINING
 from xmarl_bench.papers.kailas2025.samples import percent_of
 from xmarl_bench.papers.kailas2025.training_claims import TRAINING_CLAIMS
 from xmarl_bench.papers.kailas2025.zero_shot_claims import ZERO_SHOT_CLAIMS
-from xmarl_bench.plugins.registry import FoundExplainer, find_explainer
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell as TaskCell
 from xmarl_bench.rollout.cell import Sampling
@@ -68,7 +69,7 @@ STUDIES = {
 QUICK = Sampling(episodes=4, timesteps=4)
 
 
-def select_study_explainers(more: Sequence[str]) -> list[FoundExplainer]:
+def select_study_explainers(more: Sequence[str]) -> list[Explainer]:
     """Those of the ledgers, and more."""
     return [find_explainer(name) for name in dict.fromkeys((*EXPLAINERS, *more))]
 
@@ -96,7 +97,7 @@ def select_study_policies(study: Study, names: Sequence[str]) -> list[tuple[Poli
 def plan(
     study: Study,
     names: Sequence[str],
-    explainers: Sequence[FoundExplainer],
+    explainers: Sequence[Explainer],
     sampling: Sampling,
     behaviour: Sequence[str] = (),
 ) -> list[Request]:
@@ -105,7 +106,7 @@ def plan(
     behaviour: explainers on whose masks the team also plays, or ALL. Raises InputError for a name that is
     none of them.
     """
-    known = [found.explainer.name for found in explainers]
+    known = [explainer.name for explainer in explainers]
     for name in behaviour:
         if name != ALL and name not in known:
             raise unknown("explainer", name, [*known, ALL], "for those are what is scored")
@@ -113,11 +114,11 @@ def plan(
         Request(
             policy,
             card,
-            found,
+            explainer,
             (TaskCell(cell.task, cell.n_trained + (cell.more or 0)),),
             sampling,
-            sampling.episodes if ALL in behaviour or found.explainer.name in behaviour else 0,
+            sampling.episodes if ALL in behaviour or explainer.name in behaviour else 0,
         )
         for policy, card, cell in select_study_policies(study, names)
-        for found in explainers
+        for explainer in explainers
     ]

@@ -1,4 +1,4 @@
-"""Finished work is found again, whole or not at all."""
+"""Pieces are found again, whole or not at all."""
 
 from __future__ import annotations
 
@@ -16,52 +16,52 @@ from hypothesis import strategies as st
 from tests.bench.scoring.full_disk import files_of_at_most
 from xmarl_bench.errors import InputError
 from xmarl_bench.records.files import locked, remove_leftovers, write_atomically
-from xmarl_bench.scoring.store import Store
+from xmarl_bench.scoring.cache import Cache
 
 KEY = "ab" + "0" * 62
 
 
 @given(value=st.binary(max_size=200))
 def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, value: bytes) -> None:
-    store = Store(tmp_path_factory.mktemp("store"))
-    assert store.read(KEY) is None
-    assert not store.has(KEY)
-    store.write(KEY, value)
-    assert store.read(KEY) == value
-    store.remove(KEY)
-    assert not store.has(KEY)
+    cache = Cache(tmp_path_factory.mktemp("cache"))
+    assert cache.read(KEY) is None
+    assert not cache.has(KEY)
+    cache.write(KEY, value)
+    assert cache.read(KEY) == value
+    cache.remove(KEY)
+    assert not cache.has(KEY)
 
 
 @given(cut=st.integers(0, 300), flipped=st.integers(0, 299))
 def test_a_file_cut_short_or_changed_counts_as_missing(
     tmp_path_factory: pytest.TempPathFactory, cut: int, flipped: int
 ) -> None:
-    store = Store(tmp_path_factory.mktemp("store"))
-    store.write(KEY, b"x" * 235)  # 300 bytes with the digest's line
-    whole = store.path(KEY).read_bytes()
+    cache = Cache(tmp_path_factory.mktemp("cache"))
+    cache.write(KEY, b"x" * 235)  # 300 bytes with the digest's line
+    whole = cache.path(KEY).read_bytes()
     assert len(whole) == 300
-    store.path(KEY).write_bytes(whole[:cut])
-    assert store.has(KEY) == (cut == 300)
-    store.path(KEY).write_bytes(whole[:flipped] + bytes([whole[flipped] ^ 1]) + whole[flipped + 1 :])
-    assert not store.has(KEY)
+    cache.path(KEY).write_bytes(whole[:cut])
+    assert cache.has(KEY) == (cut == 300)
+    cache.path(KEY).write_bytes(whole[:flipped] + bytes([whole[flipped] ^ 1]) + whole[flipped + 1 :])
+    assert not cache.has(KEY)
 
 
 def test_an_error_is_kept_until_the_work_succeeds(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    assert store.failure(KEY) is None
-    store.fail(KEY, "out of memory")
-    assert store.failure(KEY) == "out of memory"
-    assert not store.has(KEY)
-    store.write(KEY, b"done")
-    assert store.failure(KEY) is None
+    cache = Cache(tmp_path)
+    assert cache.failure(KEY) is None
+    cache.fail(KEY, "out of memory")
+    assert cache.failure(KEY) == "out of memory"
+    assert not cache.has(KEY)
+    cache.write(KEY, b"done")
+    assert cache.failure(KEY) is None
 
 
 def test_a_prepared_folder_is_a_cache_that_git_ignores(tmp_path: Path) -> None:
-    store = Store(tmp_path / "cells")
-    store.prepare()
-    store.prepare()
+    cache = Cache(tmp_path / "cache")
+    cache.prepare()
+    cache.prepare()
     assert (
-        (store.folder / "CACHEDIR.TAG")
+        (cache.folder / "CACHEDIR.TAG")
         .read_bytes()
         .startswith(b"Signature: 8a477f597d28d172789f06886806bc55")
     )

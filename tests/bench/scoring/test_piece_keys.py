@@ -1,4 +1,4 @@
-"""Work that would come out the same has one name, and work that would not another."""
+"""Work that would come out the same has one key, and work that would not another."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import MakeBundle
-from xmarl_bench.plugins.registry import FoundExplainer, find_explainer
+from xmarl_bench.explain.adapters import origin_of_explainer
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
-from xmarl_bench.scoring import content_key as module
-from xmarl_bench.scoring.content_key import code_sha256
+from xmarl_bench.scoring import piece_keys as module
+from xmarl_bench.scoring.code_hash import harness_sources, sources_sha256
+from xmarl_bench.scoring.piece_keys import Keys, version_key
 from xmarl_bench.scoring.pieces import Plan
 from xmarl_bench.scoring.request import Request
 
@@ -24,18 +26,18 @@ def request(folder: Path, name: str = "attention", sampling: Sampling = SAMPLING
     return Request(policy, card, find_explainer(name), (Cell(card.task, card.n_agents),), sampling, 1)
 
 
-def plan(asked: Request, submitter: str | None = None) -> Plan:
-    return Plan.of(asked, submitter)
+def plan(asked: Request) -> Plan:
+    return Plan.of(asked, Keys())
 
 
 def test_the_key_follows_what_numbers_depend_on(make_bundle: MakeBundle) -> None:
     base = request(make_bundle())
-    found = base.explainer
-    retuned = replace(found, explainer=replace(found.explainer, hyperparameters={"lr": 0.1}))
+    explainer = base.explainer
+    newer = replace(explainer, origin=replace(origin_of_explainer(explainer), version="99"))
     changed = [
         request(make_bundle(seed=1)),
-        replace(base, explainer=retuned),
-        replace(base, explainer=replace(found, version="99")),
+        replace(base, explainer=replace(explainer, hyperparameters={"lr": 0.1})),
+        replace(base, explainer=newer),
         replace(base, sampling=replace(SAMPLING, timesteps=3)),
         replace(base, sampling=replace(SAMPLING, seed=1)),
         replace(base, sampling=replace(SAMPLING, max_cycles=4)),
@@ -43,11 +45,10 @@ def test_the_key_follows_what_numbers_depend_on(make_bundle: MakeBundle) -> None
     ]
     explained = {plan(each).needs[0].explained[0].key for each in [base, *changed]}
     assert len(explained) == 1 + len(changed)
-    entries = {plan(each).key for each in [base, *changed, replace(base, behaviour_episodes=2)]}
-    assert len(entries) == 2 + len(changed)
-    assert plan(base, "somebody").key not in entries
+    retold = replace(base, explainer=replace(explainer, summary="said in other words"))
     remarked = replace(base, card=base.card.model_copy(update={"performance": {"measured": "again"}}))
-    assert plan(remarked).key == plan(base).key
+    for same in (retold, remarked):
+        assert plan(same).piece_keys == plan(base).piece_keys
 
 
 def test_pieces_are_shared_by_all_that_need_the_same(make_bundle: MakeBundle) -> None:
@@ -63,25 +64,22 @@ def test_pieces_are_shared_by_all_that_need_the_same(make_bundle: MakeBundle) ->
     assert [piece.key for piece in renamed] == [piece.key for piece in one]  # the weights are the same
 
 
-def test_the_key_follows_an_explainers_code(make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = request(make_bundle())
-    assert code_sha256(asked.explainer) is not None
-    before = plan(asked).key
-
-    def edited(found: FoundExplainer) -> str:
-        return "of other code"
-
-    monkeypatch.setattr(module, "code_sha256", edited)
-    assert plan(asked).key != before
-
-
-def test_the_key_follows_the_code_of_a_file(make_bundle: MakeBundle, tmp_path: Path) -> None:
-    base = request(make_bundle())
-    file, keys = tmp_path / "mine.py", set()
-    for value in ("zeros", "ones"):
-        file.write_text(
-            "import torch\n\n\ndef mine(observations, policy):\n"
-            f"    return torch.{value}(*observations.shape[:2], observations.shape[1])\n"
-        )
-        keys.add(plan(replace(base, explainer=find_explainer(f"{file}:mine"))).key)
-    assert len(keys) == 2
+def test_every_source_of_the_harness_counts_and_versions_do(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """An unused colour constant too: it gives one new version, under which all is computed once."""
+    sources = dict(harness_sources())
+    assert {"xmarl_envs/colours.py", "xmarl_bench/entry/aggregation.py"} <= sources.keys()
+    before = sources_sha256(sources.items())
+    edited = tmp_path / "colours.py"
+    edited.write_bytes(sources["xmarl_envs/colours.py"].read_bytes() + b"UNUSED = (1, 2, 3)\n")
+    after = {sources_sha256({**sources, "xmarl_envs/colours.py": edited}.items()) for _ in range(2)}
+    assert len(after) == 1
+    assert before not in after
+    keys = {version_key()}
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "sources_sha256", lambda _: after.copy().pop())
+        keys.add(version_key.__wrapped__())
+    monkeypatch.setattr(module, "package_version", lambda name: f"{name} of tomorrow")
+    keys.add(version_key.__wrapped__())
+    assert len(keys) == 3

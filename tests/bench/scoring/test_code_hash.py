@@ -1,0 +1,173 @@
+"""Own code has another hash where it would give another result, and the same one in each process."""
+
+from __future__ import annotations
+
+import functools
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from xmarl_bench import PolicyModule, as_explainer
+from xmarl_bench.origin.references import load_reference, origin_of
+from xmarl_bench.policy import Policy
+from xmarl_bench.scoring.code_hash import object_sha256
+from xmarl_bench.scoring.piece_keys import Keys
+
+SCALE = 0.5
+
+
+def closure(scale: float) -> Callable[[Tensor, Policy], Tensor]:
+    def explain(observations: Tensor, policy: Policy) -> Tensor:
+        return scale * policy.attention(observations)
+
+    return explain
+
+
+def by_default(observations: Tensor, policy: Policy, scale: float = 1.0) -> Tensor:
+    return scale * policy.attention(observations)
+
+
+def by_global(observations: Tensor, policy: Policy) -> Tensor:
+    return SCALE * policy.attention(observations)
+
+
+class WithTensor:
+    def __init__(self, value: float) -> None:
+        self.weight = torch.full((2, 2), value)
+
+    def explain(self, observations: Tensor, policy: Policy) -> Tensor:
+        return self.weight.mean() * policy.attention(observations)
+
+
+class Network(nn.Module):
+    def __init__(self, scale: float) -> None:
+        super().__init__()
+        self.scale = scale
+
+    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        return self.scale * x[:, :4]
+
+
+def differ_by_themselves(make: Callable[[float], object]) -> None:
+    hashes = [object_sha256(make(value)) for value in (0.25, 0.5, 0.25)]
+    assert None not in hashes
+    assert hashes[0] == hashes[2] != hashes[1]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        closure,
+        lambda scale: functools.partial(by_default, scale=scale),
+        lambda scale: eval(f"lambda observations, policy, scale={scale}: scale"),
+        WithTensor,
+    ],
+    ids=["closure", "partial", "lambda", "tensor"],
+)
+def test_values_that_an_explainer_holds(make: Callable[[float], object]) -> None:
+    differ_by_themselves(lambda value: as_explainer(make(value), name="own"))
+
+
+def test_a_float_of_a_policys_network() -> None:
+    keys = []
+    for scale in (0.25, 0.5, 0.25):
+        module = PolicyModule("own", Network(scale), "blind_navigation_v0", 3)
+        keys.append(Keys().policy(*module.open(origin_of(module.network))))
+    assert keys[0] == keys[2] != keys[1]
+
+
+def test_a_global(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = object_sha256(by_global)
+    assert before is not None
+    monkeypatch.setitem(globals(), "SCALE", 0.75)
+    assert object_sha256(by_global) != before
+
+
+def test_what_cannot_be_pickled_has_no_hash_and_is_never_found_again() -> None:
+    explainer = as_explainer(closure(sys.stdout), name="own")  # type: ignore[arg-type]
+    assert object_sha256(explainer) is None
+    keys = Keys()
+    assert keys.explainer(explainer) == keys.explainer(explainer) != Keys().explainer(explainer)
+
+
+OWN = """
+    from helper import scaled
+
+    NAMES = {"one", "two", "three", "four"}
+
+    class Own:
+        def explain(self, observations, policy):
+            assert "one" in NAMES
+            return scaled(policy.attention(observations))
+
+    def lazy(observations, policy):
+        import helper
+        return helper.scaled(observations)
+
+    own = Own()
+    """
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "own.py").write_text(dedent(OWN))
+    (tmp_path / "helper.py").write_text("def scaled(x):\n    return 0.25 * x\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["own", "Own", "lazy"])
+def test_a_module_beside_a_file_counts_and_is_read_again(name: str, folder: Path) -> None:
+    def now() -> str | None:
+        return object_sha256(load_reference(f"{folder / 'own.py'}:{name}")[0])
+
+    before = now()
+    assert before is not None
+    assert now() == before
+    (folder / "helper.py").write_text("def scaled(x):\n    return 0.75 * x\n")
+    own, _ = load_reference(f"{folder / 'own.py'}:scaled")
+    assert own(1.0) == 0.75
+    assert now() != before
+    assert str(folder) not in sys.path
+
+
+def test_a_module_in_memory_that_is_not_the_one_on_disk_has_a_hash_of_its_own(folder: Path) -> None:
+    """Or a result of the old code would be filed as one of the new."""
+    old, _ = load_reference(f"{folder / 'own.py'}:own")
+    (folder / "helper.py").write_text("def scaled(x):\n    return 0.75 * x\n")
+    stale = object_sha256(old)
+    new, _ = load_reference(f"{folder / 'own.py'}:own")
+    assert stale != object_sha256(new)
+
+
+def test_folders_that_name_their_modules_alike_do_not_mix(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    other = tmp_path_factory.mktemp("other")
+    (other / "own.py").write_text((folder / "own.py").read_text())
+    (other / "helper.py").write_text("def scaled(x):\n    return 0.75 * x\n")
+    found = [load_reference(f"{each / 'own.py'}:scaled")[0](1.0) for each in (folder, other, folder)]
+    assert found == [0.25, 0.75, 0.25]
+    assert "helper" not in sys.modules
+
+
+def test_two_processes_agree(folder: Path) -> None:
+    code = (
+        "import sys; from xmarl_bench.origin.references import load_reference\n"
+        "from xmarl_bench.scoring.code_hash import object_sha256\n"
+        f"print(object_sha256(load_reference({str(folder / 'own.py')!r} + ':own')[0]))"
+    )
+    said = {
+        subprocess.run(
+            [sys.executable, "-c", code], env={"PYTHONHASHSEED": seed, "PYTHONPATH": ":".join(sys.path)},
+            capture_output=True, text=True, check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }  # fmt: skip
+    assert len(said) == 1
+    assert "None" not in said.pop()

@@ -1,0 +1,113 @@
+"""The cache: a folder of pieces, each one file named by the hash of all that its result depends on.
+
+So a piece is never wrong for what asks for it, may be shared by runs of any kind, and may be deleted at any
+time. A file begins with the sha256 of what follows: one that was cut short or changed counts as missing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.records.files import remove_leftovers, write_atomically
+
+DEFAULT_FOLDER = Path(".xmarl-bench")
+VERSION_DIGITS = 16  # of a key, say which version of the harness it is of
+RUNS = "runs"  # records of what runs are to compute
+MARKS = {
+    "CACHEDIR.TAG": b"Signature: 8a477f597d28d172789f06886806bc55\n# Cache of xmarl-bench.\n",
+    ".gitignore": b"*\n",
+}
+OURS = re.compile(f"{RUNS}|[0-9a-f]{{{VERSION_DIGITS}}}|[0-9a-f]{{2}}")  # the last is of older versions
+
+
+@dataclass(frozen=True)
+class Size:
+    pieces: int
+    size: int  # bytes
+    of_version: int  # pieces of one version of the harness
+
+
+class Cache:
+    """Pieces by key, each 64 hexadecimal digits, and the errors of what failed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def prepare(self) -> None:
+        """Make the folder, mark it as a cache (https://bford.info/cachedir) that no repository wants, and
+        delete what killed runs left in it."""
+        for name, text in MARKS.items():
+            if not (self.folder / name).exists():
+                write_atomically(self.folder / name, text)
+        for folder in (self.folder, *self.folder.glob("*/"), *self.folder.glob("*/*/")):
+            remove_leftovers(folder)
+
+    def has(self, key: str) -> bool:
+        return self.read(key) is not None
+
+    def read(self, key: str) -> bytes | None:
+        """None if there is no such piece, or no whole one."""
+        try:
+            data = self.path(key).read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise InputError(
+                f"{self.path(key)} cannot be read ({error.strerror}): delete it, or give another folder."
+            ) from error
+        digest, _, value = data.partition(b"\n")
+        return value if digest == _digest(value) else None
+
+    def write(self, key: str, value: bytes) -> None:
+        """Raises InputError if it cannot be written."""
+        write_atomically(self.path(key), _digest(value) + b"\n" + value, sync=False)
+        self.failure_path(key).unlink(missing_ok=True)
+
+    def remove(self, key: str) -> None:
+        self.path(key).unlink(missing_ok=True)
+
+    def fail(self, key: str, error: str) -> None:
+        """Record why it could not be computed; the next run that wants it tries again."""
+        write_atomically(self.failure_path(key), error.encode())
+
+    def failure(self, key: str) -> str | None:
+        try:
+            return self.failure_path(key).read_text()
+        except OSError:
+            return None
+
+    def path(self, key: str) -> Path:
+        version, rest = key[:VERSION_DIGITS], key[VERSION_DIGITS:]
+        return self.folder / version / rest[:2] / rest
+
+    def failure_path(self, key: str) -> Path:
+        return self.path(key).with_suffix(".failed")
+
+    def size(self, version: str) -> Size:
+        """version: what its keys begin with."""
+        pieces = [path for path in self.folder.glob("*/*/*") if re.fullmatch("[0-9a-f]+", path.name)]
+        of_version = sum(path.parent.parent.name == version for path in pieces)
+        return Size(len(pieces), sum(path.stat().st_size for path in pieces), of_version)
+
+    def clear(self) -> None:
+        """Delete what a cache holds, and the folder if nothing else is in it."""
+        for path in self._contents():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        if self.folder.is_dir() and not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+    def _contents(self) -> Iterator[Path]:
+        """Nothing where the mark of a cache is missing: the folder is somebody else's."""
+        if (self.folder / "CACHEDIR.TAG").is_file():
+            yield from (path for path in self.folder.glob("*/") if OURS.fullmatch(path.name))
+            yield from (self.folder / name for name in MARKS if (self.folder / name).exists())
+
+
+def _digest(value: bytes) -> bytes:
+    return hashlib.sha256(value).hexdigest().encode()

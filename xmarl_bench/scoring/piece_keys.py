@@ -1,0 +1,84 @@
+"""What a piece is kept under: one hash of all that its result depends on.
+
+A policy counts by its architecture and weights, code by its `code_hash`, the harness by all of its sources,
+the packages that compute and the processor's vector instructions. Files that own code reads cannot be seen.
+What has no hash gets a new key each time: it is computed again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
+
+import torch
+
+from xmarl_bench.explain.adapters import origin_of_explainer
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.origin.installed import package_version
+from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
+from xmarl_bench.records.files import canonical_json
+from xmarl_bench.scoring.cache import VERSION_DIGITS
+from xmarl_bench.scoring.code_hash import harness_sources, object_sha256, sources_sha256
+
+PACKAGES = ("captum", "numpy", "pymunk", "torch", "torch-geometric")
+
+
+@cache
+def version_key() -> str:
+    """What keys of this version of the harness, on such a processor, begin with."""
+    content = {
+        "sources": sources_sha256(harness_sources()),
+        "python": sys.version_info[:2],
+        "packages": {name: package_version(name) for name in PACKAGES},
+        "cpu": torch.backends.cpu.get_cpu_capability(),  # decides how matrix products round
+    }
+    return _sha256(content)[:VERSION_DIGITS]
+
+
+def piece_key(*parts: Any) -> str:
+    """64 hexadecimal digits for values made of JSON's types."""
+    return version_key() + _sha256(parts)[VERSION_DIGITS:]
+
+
+@dataclass
+class Keys:
+    """Of policies and explainers, each found once in a run."""
+
+    _known: dict[int, tuple[object, str]] = field(default_factory=dict)  # by id of what is held beside it
+
+    def policy(self, policy: Policy, card: PolicyCard) -> str:
+        """Of a policy's function; its name and history have no part in it."""
+        return self._once(policy, lambda: _policy_key(policy, card))
+
+    def explainer(self, explainer: Explainer) -> str:
+        return self._once(explainer, lambda: _explainer_key(explainer))
+
+    def _once(self, thing: object, key: Callable[[], str]) -> str:
+        if id(thing) not in self._known:
+            self._known[id(thing)] = thing, key()
+        return self._known[id(thing)][1]
+
+
+def _policy_key(policy: Policy, card: PolicyCard) -> str:
+    code = _code_key(policy) if isinstance(card.architecture, CodeArchitecture) else None
+    return _sha256([card.architecture.model_dump(mode="json"), card.weights_sha256, code])
+
+
+def _explainer_key(explainer: Explainer) -> str:
+    """Of what it declares, its origin and its code; not of the line that tells people about it."""
+    origin = origin_of_explainer(explainer)
+    code = _code_key(replace(explainer, summary="", origin=None))
+    return _sha256([origin.distribution, origin.version, origin.entry_point, origin.code_sha256, code])
+
+
+def _code_key(thing: object) -> str:
+    return object_sha256(thing) or secrets.token_hex()
+
+
+def _sha256(value: Any) -> str:
+    return hashlib.sha256(canonical_json(value)).hexdigest()

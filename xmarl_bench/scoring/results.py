@@ -1,0 +1,119 @@
+"""Results of pieces: in memory while they fit, in the cache as bytes.
+
+Episodes are safetensors, everything else is JSON, whose numbers come back to the bit.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.rollout.episodes import Episode
+from xmarl_bench.scoring.behaviour import Played
+from xmarl_bench.scoring.cache import Cache
+from xmarl_bench.scoring.measure import Explained, Shared
+from xmarl_bench.scoring.pieces import Kind, Piece
+
+Result = list[Episode] | list[Shared] | list[Explained] | Played
+SCALARS = ("reward", "success_rate", "no_agent_collision", "no_object_collision")
+JSON: dict[Kind, TypeAdapter[Any]] = {
+    "shared": TypeAdapter(list[Shared]),
+    "explained": TypeAdapter(list[Explained]),
+    "behaviour": TypeAdapter(Played),
+}
+MEMORY = 64 * 2**20  # bytes, as they are in files
+
+
+class Results:
+    """The results of pieces. The last ones written or read stay in memory: nobody reads their files again."""
+
+    def __init__(self, cache: Cache) -> None:
+        self.cache = cache
+        self._recent: OrderedDict[str, tuple[Result, int]] = OrderedDict()
+        self._size = 0
+
+    def has(self, piece: Piece) -> bool:
+        return self._find(piece) is not None
+
+    def write(self, piece: Piece, result: Result) -> None:
+        data = _encode(piece, result)
+        self.cache.write(piece.key, data)
+        self._remember(piece, result, len(data))
+
+    def episodes(self, piece: Piece) -> list[Episode]:
+        return self._get(piece)  # type: ignore[return-value]
+
+    def shared(self, piece: Piece) -> list[Shared]:
+        return self._get(piece)  # type: ignore[return-value]
+
+    def explained(self, piece: Piece) -> list[Explained]:
+        return self._get(piece)  # type: ignore[return-value]
+
+    def played(self, piece: Piece) -> Played:
+        return self._get(piece)  # type: ignore[return-value]
+
+    def _get(self, piece: Piece) -> Result:
+        result = self._find(piece)
+        if result is None:
+            raise InputError(
+                f"{self.cache.path(piece.key)} ({piece}) is gone or was changed: run the same command again, "
+                f"which computes what is missing."
+            )
+        return result
+
+    def _find(self, piece: Piece) -> Result | None:
+        if piece.key in self._recent:
+            self._recent.move_to_end(piece.key)
+            return self._recent[piece.key][0]
+        data = self.cache.read(piece.key)
+        if data is None:
+            return None
+        try:
+            result: Result = _decode(piece, data)
+        except (SafetensorError, KeyError, ValueError):
+            return None
+        self._remember(piece, result, len(data))
+        return result
+
+    def _remember(self, piece: Piece, result: Result, size: int) -> None:
+        self._size += size - self._recent.pop(piece.key, (None, 0))[1]
+        self._recent[piece.key] = result, size
+        while self._size > MEMORY:
+            self._size -= self._recent.popitem(last=False)[1][1]
+
+
+def _encode(piece: Piece, result: Any) -> bytes:
+    return _encode_episodes(result) if piece.kind == "episodes" else JSON[piece.kind].dump_json(result)
+
+
+def _decode(piece: Piece, data: bytes) -> Any:
+    if piece.kind == "episodes":
+        return _decode_episodes(data, piece.block.seeds)
+    return JSON[piece.kind].validate_json(data)
+
+
+def _encode_episodes(episodes: Sequence[Episode]) -> bytes:
+    arrays = {f"observations.{k}": np.ascontiguousarray(each.observations) for k, each in enumerate(episodes)}
+    scalars = np.array([[getattr(each, name) for name in SCALARS] for each in episodes], dtype=np.float64)
+    return bytes(save({**arrays, "scalars": scalars}))
+
+
+def _decode_episodes(data: bytes, seeds: Sequence[int]) -> list[Episode]:
+    arrays = load(data)
+    scalars = arrays["scalars"]
+    return [
+        Episode(
+            seed=seed,
+            observations=arrays[f"observations.{k}"],
+            makespan=len(arrays[f"observations.{k}"]),
+            **dict(zip(SCALARS, map(float, scalars[k]), strict=True)),
+        )
+        for k, seed in enumerate(seeds)
+    ]

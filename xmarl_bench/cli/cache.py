@@ -12,7 +12,7 @@ cache = typer.Typer(help="See what the cache holds, or empty it.", invoke_withou
 
 @cache.callback()
 def show(context: typer.Context, folder: CacheFolder = DEFAULT_FOLDER, as_json: AsJson = False) -> None:
-    """See the cache: its folder, how many pieces it holds, their size, how many are of this version."""
+    """See its folder, how many pieces it holds, their size, and how many are of the installed version."""
     if context.invoked_subcommand is not None:
         return
     from dataclasses import asdict

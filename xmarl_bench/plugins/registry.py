@@ -101,14 +101,12 @@ def checked_name(explainer: Explainer) -> Explainer:
 def find_policies() -> dict[str, Path]:
     """Every registered policy that is a bundle: name -> its folder, by name.
 
-    Raises InputError, as `find_code_policies` does, where a plugin does not load.
+    Raises InputError if a plugin does not load.
     """
-    return {name: place for name, place in _all_registered().items() if isinstance(place, Path)}
-
-
-def find_code_policies() -> dict[str, PolicyCode]:
-    """Every registered policy that brings code of its own, by name; none of it has run yet."""
-    return {name: place for name, place in _all_registered().items() if isinstance(place, PolicyCode)}
+    policies, failures = registered_policies()
+    if failures:
+        raise failures[0]
+    return {name: place for name, place in policies.items() if isinstance(place, Path)}
 
 
 def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyCard]:
@@ -176,13 +174,6 @@ def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError
                 )
             found[name] = place
     return dict(sorted(found.items())), failures
-
-
-def _all_registered() -> dict[str, Path | PolicyCode]:
-    policies, failures = registered_policies()
-    if failures:
-        raise failures[0]
-    return policies
 
 
 def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from xmarl_envs import TASKS
 
@@ -13,10 +14,9 @@ from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.plugins.registry import (
     explainer_names,
-    find_code_policies,
     find_explainer,
-    find_policies,
     open_policy,
+    registered_policies,
 )
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
@@ -89,21 +89,28 @@ def select_policies(
 
 def _meant(names: Sequence[str], trust_code: bool) -> dict[str, Installed] | None:
     """The policies that words for many mean, by name; None where each is named by itself."""
-    installed = find_policies()
+    installed, failures = registered_policies()
     if not set(names) - set(installed):
         return None
-    cards = {name: load_card(folder) for name, folder in installed.items()}
-    families = {card.family for card in cards.values() if card.family is not None}
-    words = {ALL, FINISHED, DEFAULT, *families} & set(names)
+    found: dict[str, Installed] = {}
+    for name, place in installed.items():
+        if isinstance(place, Path):
+            try:
+                card = load_card(place)
+            except InputError as error:
+                failures.append(error)
+            else:
+                found[name] = Installed(card, partial(load_policy, place, card))
+    words = {ALL, FINISHED, DEFAULT, *(each.card.family for each in found.values())} & set(names)
     if not words:
         return None
-    found = {
-        name: Installed(card, partial(load_policy, installed[name], card)) for name, card in cards.items()
-    }
+    if failures:  # of a policy that may be meant
+        raise failures[0]
     if trust_code:
-        for name in find_code_policies():
-            opened = open_policy(name, trust_code=True)
-            found[name] = Installed(opened[1], partial(_already, opened))
+        for name, place in installed.items():
+            if not isinstance(place, Path):
+                opened = place.open(name)
+                found[name] = Installed(opened[1], partial(_already, opened))
     if ALL in words:
         return found
     finished = {name: each for name, each in found.items() if not is_checkpoint(each.card)}

@@ -65,6 +65,8 @@ class Sweep:
         """
         missing = dict[str, Piece]()
         for piece in pieces:
+            if piece.key in missing:
+                continue
             if not self.results.has(piece):
                 missing[piece.key] = piece
             elif piece.explainer is not None:

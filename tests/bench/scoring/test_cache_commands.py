@@ -9,6 +9,7 @@ import pytest
 
 from tests.bench.scoring.full_disk import files_of_at_most
 from tests.conftest import MakeBundle, Ran, RunCli
+from xmarl_bench.entry.file import read_entries
 from xmarl_bench.records.files import locked
 
 SIZE = ("--episodes", 2, "--timesteps", 2, "--max-cycles", 4)
@@ -80,3 +81,47 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
     assert row["pieces"] == [0, 5]
     assert row["explainers"] == {"attention": [0, 2]}  # explained, and acted on
     assert_refused(run_cli("status", out / "elsewhere"), "no run is known")
+
+
+def test_a_cache_is_seen_and_emptied(
+    run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path
+) -> None:
+    cache = tmp_path / "cache"
+    assert json.loads(run_cli("cache", "--json").out)["pieces"] == 0
+    assert score(run_cli, make_bundle(), out).code == 0
+    pieces = [path for path in cache.glob("*/??/*") if path.is_file()]
+    size = sum(path.stat().st_size for path in pieces)
+    assert run_cli("cache").out == f"{cache}: 5 pieces, {size / 1e6:.1f} MB, 5 of this version.\n"
+    (version,) = [path for path in cache.iterdir() if len(path.name) == 16]
+    version.rename(cache / ("0" * 16))
+    seen = json.loads(run_cli("cache", "--json").out)
+    assert seen == {"folder": str(cache), "pieces": 5, "size": size, "of_version": 0}
+    (cache / "mine.txt").write_text("")
+    assert run_cli("cache", "clear").out.startswith(f"{cache}: 5 pieces deleted")
+    assert [path.name for path in cache.iterdir()] == ["mine.txt"]
+    (out / "ab").mkdir()
+    assert run_cli("cache", "clear", "--cache", out).code == 0
+    assert (out / "ab").exists()  # no cache, whatever its folders are called
+
+
+def test_a_module_beside_an_explainers_file_is_read_again(
+    run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path
+) -> None:
+    own, helper = tmp_path / "own.py", tmp_path / "helper.py"
+    own.write_text(
+        "from helper import scaled\n\n\ndef own(observations, policy):\n"
+        "    return scaled(policy.attention(observations))\n"
+    )
+    folder, fid_plus = make_bundle(), []
+    for scale in ("0.25", "0.75", "0.25"):
+        helper.write_text(f"def scaled(x):\n    return {scale} * x\n")
+        ran = run_cli(
+            "score", "--policy", folder, "--explainer", f"{own}:own", *SIZE, "--no-behaviour", "all",
+            "--out", out,
+        )  # fmt: skip
+        assert ran.code == 0, ran.err
+        (entry,) = (entry for _, entry in read_entries(out / "entries"))
+        fid_plus.append(entry.results[0].metrics.fid_plus)
+        pieces = json.loads(run_cli("cache", "--json").out)["pieces"]
+    assert fid_plus[0] == fid_plus[2] != fid_plus[1]
+    assert pieces == 4  # played, shared, and explained in two ways

@@ -19,6 +19,7 @@ from xmarl_bench.entry.aggregation import summarise
 from xmarl_bench.entry.schema import Entry, Summary
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.metrics.statistics import percentiles
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
@@ -201,7 +202,7 @@ def by_median(values: Sequence[float | None], rng: np.random.Generator) -> Summa
     return summarise(values, rng).model_copy(update={"value": median})
 
 
-AGGREGATIONS = {"percentiles": partial(aggregation.percentiles, confidence=0.5), "summarise": by_median}
+AGGREGATIONS = {"percentiles": partial(percentiles, confidence=0.5), "summarise": by_median}
 
 
 def test_an_entry_follows_the_aggregation_at_once_though_pieces_are_cached(

@@ -7,7 +7,9 @@ import torch
 from xmarl_bench.policy import Architecture, GraphPolicy
 
 
-def small_policy(obs_dim: int, seed: int = 0, encoder: tuple[int, ...] = (7,)) -> GraphPolicy:
+def small_policy(
+    obs_dim: int, seed: int = 0, encoder: tuple[int, ...] = (7,), *, residual: bool = False
+) -> GraphPolicy:
     """A policy of few weights, large enough that messages matter."""
     architecture = Architecture(
         obs_dim=obs_dim,
@@ -15,6 +17,7 @@ def small_policy(obs_dim: int, seed: int = 0, encoder: tuple[int, ...] = (7,)) -
         encoder_activation="relu",
         gat_width=8,
         gat_activation="tanh",
+        residual=residual,
         decoder=(9,),
         decoder_activation="tanh",
     )

@@ -1,7 +1,7 @@
 """The policy written out edge by edge in float64, from the formulas and from no code of the benchmark.
 
 GATv2 (Brody et al., ICLR 2022): e_ij = a . LeakyReLU(W_l x_j + W_r x_i), alpha_i = softmax_j e_ij;
-h_i = sum_j m_ij alpha_ij W_l x_j + b.
+h_i = sum_j m_ij alpha_ij W_l x_j + R x_i + b, where R is 0 without a residual.
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ def reference_distribution(policy: GraphPolicy, observation: Floats, mask: Float
         alpha /= alpha.sum()
         for j in range(n_agents):
             hidden[i] += mask[i, j] * alpha[j] * message[j]
+    if architecture.residual:
+        hidden += x @ weights["gat.res.weight"].T
     hidden = ACTIVATION[architecture.gat_activation](hidden + weights["gat.bias"])
     for layer in range(len(architecture.decoder)):
         hidden = _linear(weights, f"decoder.{2 * layer}", hidden)

@@ -15,15 +15,16 @@ import torch
 from torch import Tensor, nn
 from torch_geometric.nn import GATv2Conv
 from torchrl.modules import MultiAgentMLP, NormalParamExtractor
+from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.recipes import recipe_for
 from xmarl_baselines.training.trainer import Run, build
 
 from tests.bench.policy.test_hostile_bundles import RAN, Payload
 from tests.bench.policy.test_layers import GAT2, random_policy, record
 from tests.conftest import RunCli
-from tests.policies import random_observations
+from tests.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy import LayeredArchitecture, complete_graph, load_policy
+from xmarl_bench.policy import GraphPolicy, LayeredArchitecture, complete_graph, load_policy
 from xmarl_bench.policy.build import weights_of
 from xmarl_bench.policy.convert import dense, read_tensors, rename
 
@@ -53,14 +54,32 @@ def test_a_state_dict_of_torch_save(tmp_path: Path, run_cli: RunCli) -> None:
     assert "model.layers.0.att_src" in run_cli("convert", tmp_path / "model.pt").out
 
 
-def test_a_checkpoint_of_xmarl_train(tmp_path: Path, run_cli: RunCli) -> None:
-    recipe = recipe_for("blind_discovery_v0", frames=64, n_envs=2, n_steps=4, batch_size=8, imitation=None)
+@pytest.mark.parametrize("residual", [False, True])
+def test_a_state_dict_of_the_one_layer(residual: bool, tmp_path: Path, run_cli: RunCli) -> None:
+    policy = small_policy(6, 2, residual=residual)
+    torch.save(policy.state_dict(), tmp_path / "model.pt")
+    architecture = write(tmp_path / "a.json", policy.architecture.model_dump())
+    ran = run_cli(
+        "convert", tmp_path / "model.pt", "--out", tmp_path / "mine", *TASK, "--architecture", architecture
+    )
+    assert ran.code == 0, ran.err
+    loaded, card = load_policy(tmp_path / "mine")
+    assert card.architecture == policy.architecture
+    assert weights_of(loaded).keys() == policy.state_dict().keys()
+    assert all(torch.equal(tensor, policy.state_dict()[name]) for name, tensor in weights_of(loaded).items())
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_checkpoint_of_xmarl_train(family: Family, tmp_path: Path, run_cli: RunCli) -> None:
+    recipe = recipe_for("blind_discovery_v0", family=family, frames=64, n_envs=2, n_steps=4, batch_size=8)
     model = build(Run(recipe), seed=0)
     model.save(tmp_path / "checkpoint.zip")
     ran = run_cli("convert", tmp_path / "checkpoint.zip", "--out", tmp_path / "ppo", "--task", recipe.task)
     assert ran.code == 0, ran.err
     loaded, _ = load_policy(tmp_path / "ppo")
     assert loaded.architecture == model.policy.actor.architecture
+    assert isinstance(loaded, GraphPolicy)
+    assert loaded.architecture.residual is (family == "residual")
     observations = random_observations(3, 3, 5)
     with torch.no_grad():
         theirs = model.policy.actor.distribution(observations)

@@ -102,8 +102,11 @@ def as_layer(name: str) -> str:
     return name.replace("gat.", "layers.0.") if name.startswith("gat.") else name
 
 
-def test_one_layer_of_one_head_is_the_fast_path_and_equals_the_generic_one(tmp_path: Path) -> None:
-    layer = {"conv": "GATv2Conv", "width": 8, "activation": "tanh"}
+@pytest.mark.parametrize("residual", [False, True])
+def test_one_layer_of_one_head_is_the_fast_path_and_equals_the_generic_one(
+    residual: bool, tmp_path: Path
+) -> None:
+    layer = {"conv": "GATv2Conv", "width": 8, "residual": residual, "activation": "tanh"}
     architecture = record([layer])
     fast = random_policy(architecture)
     assert isinstance(fast, GraphPolicy)
@@ -120,7 +123,12 @@ def test_one_layer_of_one_head_is_the_fast_path_and_equals_the_generic_one(tmp_p
             fast.attention(observations), slow.attention(observations), rtol=0, atol=1e-5
         )
     save_policy(tmp_path / "fast", fast, name="fast", **CARD)
-    assert load_policy(tmp_path / "fast")[1].architecture == architecture.as_one_layer()
+    loaded, card = load_policy(tmp_path / "fast")
+    assert card.architecture == architecture.as_one_layer()
+    assert isinstance(loaded, GraphPolicy)
+    assert loaded.architecture.residual is residual
+    with torch.no_grad():
+        assert torch.equal(loaded.distribution(observations).loc, fast.distribution(observations).loc)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +137,6 @@ def test_one_layer_of_one_head_is_the_fast_path_and_equals_the_generic_one(tmp_p
         {"distribution": "normal"},
         {"graph": {"kind": "radius", "radius": 1.0}},
         {"layers": ({"conv": "GATv2Conv", "width": 8, "activation": "tanh", "heads": 2},)},
-        {"layers": ({"conv": "GATv2Conv", "width": 8, "activation": "tanh", "residual": True},)},
         {"layers": ({"conv": "GATConv", "width": 8, "activation": "tanh"},)},
     ],
 )

@@ -21,18 +21,21 @@ from tests.policies import random_masks, random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import ModulePolicy, complete_graph
 
+with_and_without_residual = pytest.mark.parametrize("residual", [False, True], ids=["plain", "residual"])
+
 
 @settings(max_examples=25, deadline=None)
 @given(
     n_agents=st.integers(1, 6),
     seed=st.integers(0, 1000),
     encoder=st.sampled_from([(), (7,), (5, 6)]),
+    residual=st.booleans(),
     binary=st.booleans(),
 )
 def test_masked_forward_equals_the_formula(
-    n_agents: int, seed: int, encoder: tuple[int, ...], binary: bool
+    n_agents: int, seed: int, encoder: tuple[int, ...], residual: bool, binary: bool
 ) -> None:
-    policy = small_policy(5, seed, encoder)
+    policy = small_policy(5, seed, encoder, residual=residual)
     observations = random_observations(3, n_agents, 5, seed)
     masks = random_masks(3, n_agents, seed)
     masks = (masks > 0.5).float() if binary else masks
@@ -49,8 +52,9 @@ def test_masked_forward_equals_the_formula(
         np.testing.assert_allclose(double.loc[s].numpy(), loc, rtol=1e-10, atol=1e-12)
 
 
-def test_batched_path_equals_pyg_forward() -> None:
-    policy = small_policy(6, 1)
+@with_and_without_residual
+def test_batched_path_equals_pyg_forward(residual: bool) -> None:
+    policy = small_policy(6, 1, residual=residual)
     observations = random_observations(8, 4, 6)
     with torch.no_grad():
         batched = policy.distribution(observations).action
@@ -58,8 +62,9 @@ def test_batched_path_equals_pyg_forward() -> None:
     torch.testing.assert_close(batched, each, rtol=0, atol=1e-6)
 
 
-def test_masked_path_equals_pyg_with_an_edge_mask_loops_included() -> None:
-    policy = small_policy(6, 2)
+@with_and_without_residual
+def test_masked_path_equals_pyg_with_an_edge_mask_loops_included(residual: bool) -> None:
+    policy = small_policy(6, 2, residual=residual)
     observations, masks = random_observations(8, 4, 6), random_masks(8, 4)
     model = copy.deepcopy(policy)
     for x, mask in zip(observations, masks, strict=True):
@@ -71,8 +76,9 @@ def test_masked_path_equals_pyg_with_an_edge_mask_loops_included() -> None:
         torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-6)
 
 
-def test_row_i_of_the_mask_is_about_receiver_i() -> None:
-    policy = small_policy(6, 3)
+@with_and_without_residual
+def test_row_i_of_the_mask_is_about_receiver_i(residual: bool) -> None:
+    policy = small_policy(6, 3, residual=residual)
     observations = random_observations(1, 4, 6)
     mask = torch.ones(1, 4, 4)
     mask[0, 1, 2] = 0.0  # the message 2 -> 1
@@ -83,9 +89,10 @@ def test_row_i_of_the_mask_is_about_receiver_i() -> None:
     assert changed[[0, 2, 3]].max() == 0.0
 
 
+@with_and_without_residual
 @pytest.mark.parametrize("edge", [(0, 0), (2, 2), (0, 1), (2, 0)])
-def test_every_edge_carries_its_message_the_own_one_too(edge: tuple[int, int]) -> None:
-    policy = small_policy(5, 4)
+def test_every_edge_carries_its_message_the_own_one_too(edge: tuple[int, int], residual: bool) -> None:
+    policy = small_policy(5, 4, residual=residual)
     observations = random_observations(1, 3, 5)
     mask = torch.ones(1, 3, 3)
     mask[0, *edge] = 0.0
@@ -94,8 +101,9 @@ def test_every_edge_carries_its_message_the_own_one_too(edge: tuple[int, int]) -
     assert change[0, edge[0]].max() > 1e-4
 
 
-def test_permuting_agents_permutes_actions() -> None:
-    policy = small_policy(6, 5)
+@with_and_without_residual
+def test_permuting_agents_permutes_actions(residual: bool) -> None:
+    policy = small_policy(6, 5, residual=residual)
     observations, masks = random_observations(5, 4, 6), random_masks(5, 4)
     order = torch.tensor([2, 0, 3, 1])
     with torch.no_grad():
@@ -109,8 +117,9 @@ def test_permuting_agents_permutes_actions() -> None:
     torch.testing.assert_close(permuted_action, action[:, order], rtol=0, atol=1e-6)
 
 
-def test_a_mask_of_ones_is_no_mask_to_the_bit() -> None:
-    policy = small_policy(6, 6)
+@with_and_without_residual
+def test_a_mask_of_ones_is_no_mask_to_the_bit(residual: bool) -> None:
+    policy = small_policy(6, 6, residual=residual)
     observations = random_observations(40, 3, 6)
     with torch.no_grad():
         assert torch.equal(
@@ -119,9 +128,16 @@ def test_a_mask_of_ones_is_no_mask_to_the_bit() -> None:
 
 
 @settings(max_examples=15, deadline=None)
-@given(n_agents=st.integers(1, 6), seed=st.integers(0, 1000), encoder=st.sampled_from([(), (7,)]))
-def test_the_generic_path_equals_the_fast_path(n_agents: int, seed: int, encoder: tuple[int, ...]) -> None:
-    fast = small_policy(5, seed, encoder)
+@given(
+    n_agents=st.integers(1, 6),
+    seed=st.integers(0, 1000),
+    encoder=st.sampled_from([(), (7,)]),
+    residual=st.booleans(),
+)
+def test_the_generic_path_equals_the_fast_path(
+    n_agents: int, seed: int, encoder: tuple[int, ...], residual: bool
+) -> None:
+    fast = small_policy(5, seed, encoder, residual=residual)
     generic = ModulePolicy(Opened(fast), 5)
     observations = random_observations(3, n_agents, 5, seed)
     masks = torch.stack([random_masks(3, n_agents, seed + k) for k in range(2)])
@@ -163,9 +179,28 @@ def test_gradients_of_a_batch_are_uncoupled(make: Callable[[int], ModulePolicy])
     assert bool((gradient[[0, 2]] == 0).all())
 
 
+def test_no_mask_touches_the_residual() -> None:
+    """With every message masked, the decoder gets R x_i + b: the agent's own encoding through a linear map."""
+    policy, observations = small_policy(6, 7, residual=True), random_observations(5, 4, 6)
+    encoded = policy.encoder(observations)
+    own = encoded @ policy.gat.res.weight.mT + policy.gat.bias
+    with torch.no_grad():
+        nothing = policy.distribution(observations, torch.zeros(5, 4, 4))
+        torch.testing.assert_close(nothing.loc, policy.head(own).loc, rtol=0, atol=1e-6)
+        # Without a residual every agent gets b alone, and all act alike.
+        plain = small_policy(6, 7).distribution(observations, torch.zeros(5, 4, 4)).loc
+    assert (nothing.loc[:, 0] - nothing.loc[:, 1]).abs().max() > 1e-2
+    torch.testing.assert_close(plain, plain[:1, :1].expand_as(plain), rtol=0, atol=1e-6)
+
+
 def test_rows_act_alone_in_one_layer_only() -> None:
     observations = random_observations(2, 4, 6)
-    for policy, row_wise in ((small_policy(6), True), (one_layer(6), True), (two_layers(6), False)):
+    for policy, row_wise in (
+        (small_policy(6), True),
+        (small_policy(6, residual=True), True),
+        (one_layer(6), True),
+        (two_layers(6), False),
+    ):
         assert policy.row_wise is row_wise
         mask = torch.ones(2, 4, 4)
         mask[:, 1:] = random_masks(2, 4)[:, 1:]

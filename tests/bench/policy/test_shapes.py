@@ -32,13 +32,19 @@ def built(network: type[GraphPolicy] | type[LayeredNetwork], architecture: objec
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(1, 7), st.integers(1, 3), widths, st.integers(1, 9), widths)
+@given(st.integers(1, 7), st.integers(1, 3), widths, st.integers(1, 9), widths, st.booleans())
 def test_one_layer(
-    obs_dim: int, action_dim: int, encoder: tuple[int, ...], gat_width: int, decoder: tuple[int, ...]
+    obs_dim: int,
+    action_dim: int,
+    encoder: tuple[int, ...],
+    gat_width: int,
+    decoder: tuple[int, ...],
+    residual: bool,
 ) -> None:
     architecture = Architecture(
         obs_dim=obs_dim, action_dim=action_dim, encoder=encoder, encoder_activation="relu",
         gat_width=gat_width, gat_activation="tanh", decoder=decoder, decoder_activation="elu",
+        residual=residual,
     )  # fmt: skip
     assert weight_shapes(architecture) == built(GraphPolicy, architecture)
 

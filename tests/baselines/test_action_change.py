@@ -44,9 +44,11 @@ def test_on_trained_policies(name: str, n_agents: int) -> None:
     assert_as_defined(policy, observations, _ByStack)
 
 
+@pytest.mark.parametrize("residual", [False, True])
 @pytest.mark.parametrize("n_steps", [1, ROWS // 3, ROWS // 3 + 1, ROWS])
-def test_any_number_of_rows(n_steps: int) -> None:
-    assert_as_defined(small_policy(6, 2), random_observations(n_steps, 3, 6), _ByStack)
+def test_any_number_of_rows(n_steps: int, residual: bool) -> None:
+    policy = small_policy(6, 2, residual=residual)
+    assert_as_defined(policy, random_observations(n_steps, 3, 6), _ByStack)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +86,11 @@ def test_any_policy() -> None:
     assert_as_defined(two_layers(6), random_observations(3, 4, 6), _ByAutograd)
 
 
-@pytest.mark.parametrize("policy", [small_policy(6, 1), two_layers(6)], ids=["one layer", "two"])
+@pytest.mark.parametrize(
+    "policy",
+    [small_policy(6, 1), small_policy(6, 1, residual=True), two_layers(6)],
+    ids=["one layer", "residual", "two"],
+)
 def test_the_mask_of_ones_changes_nothing(policy: Policy) -> None:
     change = action_change(frozen(policy), random_observations(4, 3, 6))
     moved, gradient = change.with_gradient(torch.ones(4, 3, 3))

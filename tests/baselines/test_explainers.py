@@ -71,8 +71,9 @@ def test_there_is_a_file_for_every_explainer_and_a_paper_in_it() -> None:
             assert "Departures" in card or "Source: the benchmark's own" in card, card
 
 
-def test_attention_is_what_pyg_calls_attention() -> None:
-    policy, observations = small_policy(6, 1), random_observations(6, 4, 6)
+@pytest.mark.parametrize("residual", [False, True])
+def test_attention_is_what_pyg_calls_attention(residual: bool) -> None:
+    policy, observations = small_policy(6, 1, residual=residual), random_observations(6, 4, 6)
     mask = run_explainer(attention, policy, observations, 0)
     theirs = torch.stack([by_pyg(policy, AttentionExplainer(), x) for x in observations])
     torch.testing.assert_close(mask, theirs, rtol=0, atol=1e-6)
@@ -99,7 +100,11 @@ def test_attention_rowmax_ranks_as_attention_and_keeps_the_best_message_whole() 
     torch.testing.assert_close(mask * alpha.amax(dim=-1, keepdim=True), alpha)
 
 
-@pytest.mark.parametrize("policy", [small_policy(6, 2), two_layers(6)], ids=["one layer", "two layers"])
+@pytest.mark.parametrize(
+    "policy",
+    [small_policy(6, 2), small_policy(6, 2, residual=True), two_layers(6)],
+    ids=["one layer", "residual", "two layers"],
+)
 @each
 def test_an_explainer_leaves_no_trace(explainer: Explainer, policy: Policy) -> None:
     observations = random_observations(2, 3, 6)
@@ -174,9 +179,10 @@ def test_timesteps_do_not_see_one_another(explainer: Explainer) -> None:
     assert torch.equal(one[1:], two[1:])
 
 
+@pytest.mark.parametrize("residual", [False, True])
 @each
-def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer) -> None:
-    policy, observations = small_policy(6, 6), random_observations(4, 3, 6)
+def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer, residual: bool) -> None:
+    policy, observations = small_policy(6, 6, residual=residual), random_observations(4, 3, 6)
     fast = run_explainer(explainer, policy, observations, 3)
     generic = run_explainer(explainer, ModulePolicy(Opened(policy), 6), observations, 3)
     torch.testing.assert_close(fast, generic, rtol=0, atol=1e-5)

@@ -39,8 +39,9 @@ def silence(policy: Policy, x: Tensor) -> Tensor:
     return change(policy, x, torch.zeros(len(x), x.shape[1], x.shape[1], dtype=x.dtype))
 
 
-def test_gradient_equals_finite_differences() -> None:
-    policy, x = small_policy(6, 1).double(), random_observations(3, N, 6).double()
+@pytest.mark.parametrize("residual", [False, True])
+def test_gradient_equals_finite_differences(residual: bool) -> None:
+    policy, x = small_policy(6, 1, residual=residual).double(), random_observations(3, N, 6).double()
     ours = gradient_at(policy, x, [1.0])
     direction = effect_direction(policy, policy.prepare(x), 3, N)
     for i, j in ((0, 0), (1, 3), (2, 1)):
@@ -67,15 +68,22 @@ def test_integrated_gradients_are_complete(name: str) -> None:
         ("IntegratedGradients", {"n_steps": 8, "method": "riemann_middle"}, midpoints(8)),
     ],
 )
-def test_captum_says_the_same(method: str, arguments: dict[str, object], levels: list[float]) -> None:
-    policy, x = trained(TRAINED[2], 3)
+@pytest.mark.parametrize("residual", [False, True])
+def test_captum_says_the_same(
+    method: str, arguments: dict[str, object], levels: list[float], residual: bool
+) -> None:
+    policy, x = small_policy(6, 3, residual=residual), random_observations(3, 3, 6)
     captum = PygExplain(lambda: CaptumExplainer(method, **arguments), effect=True, to_unit=signed_to_unit)
     theirs = captum(policy, x, torch.Generator())
     torch.testing.assert_close(signed_to_unit(gradient_at(policy, x, levels)), theirs, rtol=0, atol=1e-4)
     assert float(theirs.std()) > 0.05
 
 
-@pytest.mark.parametrize("policy", [small_policy(6, 2), one_layer(6), two_layers(6)], ids=["fast", "1", "2"])
+@pytest.mark.parametrize(
+    "policy",
+    [small_policy(6, 2), small_policy(6, 2, residual=True), one_layer(6), two_layers(6)],
+    ids=["fast", "residual", "1", "2"],
+)
 def test_occlusion_is_leaving_out_one_edge(policy: Policy) -> None:
     x = random_observations(3, N, 6)
     with torch.no_grad():
@@ -106,9 +114,9 @@ def test_shapley_values_are_the_mean_over_all_orders() -> None:
 
 
 @settings(max_examples=20, deadline=None)
-@given(n_agents=st.integers(1, 6), seed=st.integers(0, 1000))
-def test_shapley_axioms(n_agents: int, seed: int) -> None:
-    policy, x = small_policy(6, seed), random_observations(3, n_agents, 6, seed)
+@given(n_agents=st.integers(1, 6), seed=st.integers(0, 1000), residual=st.booleans())
+def test_shapley_axioms(n_agents: int, seed: int, residual: bool) -> None:
+    policy, x = small_policy(6, seed, residual=residual), random_observations(3, n_agents, 6, seed)
     if n_agents > 2:
         x[:, 2] = x[:, 1]  # two senders nobody can tell apart
     values = torch.from_numpy(exact_values(change_table(policy, x)))

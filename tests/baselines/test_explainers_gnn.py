@@ -38,6 +38,13 @@ def test_batched_equals_pyg_one_graph_at_a_time_on_trained_policies(name: str) -
     assert (ours - first).abs().max() > 0.1  # the hundred steps did something
 
 
+@pytest.mark.parametrize("residual", [False, True])
+def test_batched_equals_pyg_one_graph_at_a_time(residual: bool) -> None:
+    policy, observations = small_policy(6, 5, residual=residual), random_observations(4, 3, 6)
+    ours = run_explainer(gnn_explainer, policy, observations, 7)
+    torch.testing.assert_close(ours, pyg_masks(policy, observations, 7), rtol=0, atol=1e-5)
+
+
 def test_larger_teams_are_no_different() -> None:
     policy, observations = trained(TRAINED[2], 2, n_agents=8)
     ours = run_explainer(gnn_explainer, policy, observations, 3)

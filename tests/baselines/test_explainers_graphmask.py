@@ -71,9 +71,13 @@ def test_masks_equal_pygs_in_double_precision_on_trained_policies(name: str) -> 
     assert 0 < float(masks.mean()) < 1
 
 
+@pytest.mark.parametrize("residual", [False, True])
 @pytest.mark.parametrize("encoder", [(), (8,)], ids=["6 -> 8, untrained", "8 -> 8, trained"])
-def test_masks_of_larger_teams_equal_pygs_in_double_precision(encoder: tuple[int, ...]) -> None:
-    policy, observations = small_policy(6, 4, encoder), random_observations(5, 5, 6) * 2
+def test_masks_of_larger_teams_equal_pygs_in_double_precision(
+    encoder: tuple[int, ...], residual: bool
+) -> None:
+    policy = small_policy(6, 4, encoder, residual=residual)
+    observations = random_observations(5, 5, 6) * 2
     assert_masks_are_pygs(policy, observations[:2], DEFAULTS)
     masks = assert_masks_are_pygs(policy, observations, TELLING)
     assert 0 < float(masks.mean()) < 1
@@ -153,9 +157,15 @@ def by_autograd(
     return kept
 
 
-@pytest.mark.parametrize("name", TRAINED)
+def as_policy_and_states(name: str) -> tuple[GraphPolicy, Tensor]:
+    if name == "residual":
+        return small_policy(6, 5, residual=True), random_observations(30, 3, 6)
+    return trained(name, 30)
+
+
+@pytest.mark.parametrize("name", [*TRAINED, "residual"])
 def test_graphmask_follows_the_gradient_of_its_formula(name: str) -> None:
-    policy, observations = trained(name, 30)
+    policy, observations = as_policy_and_states(name)
     settings = GraphMaskSettings()
     noise = uniform_noise(settings.epochs, 3, list(range(30)))
     fast = optimise_gates(frozen(policy), observations, noise, settings)
@@ -167,9 +177,17 @@ def test_graphmask_follows_the_gradient_of_its_formula(name: str) -> None:
 
 
 @settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 1000), n_agents=st.integers(1, 5), allowance=st.sampled_from([0.0, 0.01, 0.3]))
-def test_the_constraint_holds_at_every_timestep(seed: int, n_agents: int, allowance: float) -> None:
-    policy, observations = small_policy(6, seed), random_observations(4, n_agents, 6, seed)
+@given(
+    seed=st.integers(0, 1000),
+    n_agents=st.integers(1, 5),
+    allowance=st.sampled_from([0.0, 0.01, 0.3]),
+    residual=st.booleans(),
+)
+def test_the_constraint_holds_at_every_timestep(
+    seed: int, n_agents: int, allowance: float, residual: bool
+) -> None:
+    policy = small_policy(6, seed, residual=residual)
+    observations = random_observations(4, n_agents, 6, seed)
     mask = gated(policy, observations, GraphMaskSettings(allowance=allowance, epochs=30))
     assert relative_error(policy, observations, mask).max() <= allowance + 1e-4
 

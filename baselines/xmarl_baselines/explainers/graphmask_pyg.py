@@ -146,7 +146,9 @@ def gate_masks(
     with torch.no_grad():
         target = policy.distribution(observations).action
         feature_mask = torch.stack([start.feature_mask for start in starts]).sigmoid()
-        original, scaled = (layer_state(policy, x) for x in (observations, observations * feature_mask))
+        seen = observations * feature_mask
+        original, scaled = layer_state(policy, observations), layer_state(policy, seen)
+        own = policy.prepare(seen).own
     gates = _stack([start.gates for start in starts])
     noise = torch.stack([start.noise for start in starts], dim=1)
     trained = policy.gat.in_channels == policy.gat.out_channels
@@ -166,7 +168,7 @@ def gate_masks(
             gated = scaled.message * z[..., None] + (1 - z)[..., None] * baseline
             if not trained:
                 continue
-            action = policy.head(gated.sum(dim=2) + policy.gat.bias).action
+            action = policy.head(gated.sum(dim=2) + own).action
             error = (action - target).square().mean(dim=(-2, -1))
             penalty = torch.sigmoid(opened - BETA * math.log(-GAMMA / ZETA)).mean(dim=(-2, -1))
             loss = multiplier * torch.relu(error - settings.allowance) + settings.penalty_scaling * penalty

@@ -27,6 +27,9 @@ from xmarl_bench.metrics import prediction_change
 from xmarl_bench.policy import GraphPolicy
 
 
+with_and_without_residual = pytest.mark.parametrize("residual", [False, True], ids=["plain", "residual"])
+
+
 def fid_delta(policy: GraphPolicy, observations: torch.Tensor, mask: torch.Tensor) -> np.ndarray:
     """(S, N): FidDelta of each receiver, by plain masked forwards."""
     with torch.no_grad():
@@ -43,8 +46,9 @@ def test_rows_are_the_bits_of_their_number() -> None:
     assert torch.equal(rows.flip(0), 1 - rows)
 
 
-def test_the_table_is_the_formula_row_by_row() -> None:
-    policy, observations = small_policy(5, 1), random_observations(2, 3, 5)
+@with_and_without_residual
+def test_the_table_is_the_formula_row_by_row(residual: bool) -> None:
+    policy, observations = small_policy(5, 1, residual=residual), random_observations(2, 3, 5)
     with torch.no_grad():
         ((steps, table),) = action_tables(policy, observations)
     assert (steps, tuple(table.shape)) == (slice(0, 2), (8, 2, 3, 2))
@@ -55,9 +59,10 @@ def test_the_table_is_the_formula_row_by_row() -> None:
 
 
 @settings(max_examples=12, deadline=None)
-@given(n_agents=st.integers(1, 5), seed=st.integers(0, 10**6))
-def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int) -> None:
-    policy, observations = small_policy(5, seed), random_observations(6, n_agents, 5, seed)
+@given(n_agents=st.integers(1, 5), seed=st.integers(0, 10**6), residual=st.booleans())
+def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int, residual: bool) -> None:
+    policy = small_policy(5, seed, residual=residual)
+    observations = random_observations(6, n_agents, 5, seed)
     best = oracle_mask(policy, observations, torch.Generator())
     assert set(best.unique().tolist()) <= {0.0, 1.0}
     highest = fid_delta(policy, observations, best)
@@ -71,8 +76,9 @@ def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int) -> None:
         assert (fid_delta(policy, observations, mask) <= highest + 1e-5).all()
 
 
-def test_the_oracle_is_the_best_of_all_whole_masks() -> None:
-    policy, observations = small_policy(5, 7), random_observations(1, 3, 5, 3)
+@with_and_without_residual
+def test_the_oracle_is_the_best_of_all_whole_masks(residual: bool) -> None:
+    policy, observations = small_policy(5, 7, residual=residual), random_observations(1, 3, 5, 3)
     masks = torch.tensor(list(product([0.0, 1.0], repeat=9))).view(512, 3, 3)
     values = fid_delta(policy, observations.expand(512, 3, 5), masks).mean(axis=1)
     received = fid_delta(policy, observations, oracle_mask(policy, observations, torch.Generator())).mean()
@@ -88,8 +94,9 @@ def test_the_best_row_by_hand() -> None:
     assert best_rows(change).tolist() == [[1]]  # 0.6 - 0.1, against 0.2 - 0.0
 
 
-def test_renormalised_rows_drop_edges_before_the_softmax() -> None:
-    policy, observations = small_policy(5, 4), random_observations(3, 4, 5)
+@with_and_without_residual
+def test_renormalised_rows_drop_edges_before_the_softmax(residual: bool) -> None:
+    policy, observations = small_policy(5, 4, residual=residual), random_observations(3, 4, 5)
     change = change_table(policy, observations, renormalised=True)
     with torch.no_grad():
         full = policy.distribution(observations).action.numpy()
@@ -118,8 +125,9 @@ def test_chunks_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
     assert whole[-1].max() == 0.0
 
 
-def test_soft_ascent_gains_where_there_is_something_to_gain() -> None:
-    policy, observations = small_policy(6, 3), random_observations(50, 3, 6)
+@with_and_without_residual
+def test_soft_ascent_gains_where_there_is_something_to_gain(residual: bool) -> None:
+    policy, observations = small_policy(6, 3, residual=residual), random_observations(50, 3, 6)
     hard, soft = (
         fid_delta(policy, observations, explain(policy, observations, torch.Generator())).mean()
         for explain in (oracle_mask, soft_oracle_mask)

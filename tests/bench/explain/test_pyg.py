@@ -80,10 +80,11 @@ def test_a_row_explained_for_its_agent_alone_depends_on_that_agent_alone() -> No
     assert bool((mask > 0).all())
 
 
+@pytest.mark.parametrize("residual", [False, True])
 @pytest.mark.parametrize("method", CAPTUM)
-def test_captum_is_asked_about_the_sum_of_effects(method: str) -> None:
+def test_captum_is_asked_about_the_sum_of_effects(method: str, residual: bool) -> None:
     """The effect of a message is that on its receiver: rows do not mix in a policy of one layer."""
-    policy, observations = small_policy(6, 2), random_observations(1, 4, 6)
+    policy, observations = small_policy(6, 2, residual=residual), random_observations(1, 4, 6)
     adapter = PygExplain(lambda: CaptumExplainer(method), effect=True)
     whole = adapter(policy, observations, torch.Generator().manual_seed(3))
     with torch.no_grad():

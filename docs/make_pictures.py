@@ -11,18 +11,21 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from xmarl_baselines.policies import shipped_policies
 from xmarl_envs import TASKS, make_task
 from xmarl_envs.render import Renderer
 
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.plugins.registry import find_explainer, find_policy
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
+from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.render.recording import HEURISTIC, Recording, record
 
 HERE = Path(__file__).parent
 PANEL, MARGIN = (480, 528), 8  # pixels
 EPISODES = {"blind_navigation_v0": 4, "blind_passage_v0": 1, "blind_discovery_v0": 0}  # of `render --episode`
-EXPLAINED = ("discovery-n3-lambda0-seed0", "attention")
+CELL, EXPLAINER = ("blind_discovery_v0", 3), "attention"  # its default policy without the attention term
 
 
 def moment(recording: Recording, cycle: int, explainer: Explainer | None = None) -> Image.Image:
@@ -53,10 +56,13 @@ def heuristics() -> dict[str, Recording]:
 
 def explained() -> Image.Image:
     """A policy's messages before and after one agent senses the landmark, and how it ends."""
-    policy, card = load_policy(find_policy(EXPLAINED[0]))
+    cards = default_policies(load_card(folder) for folder in shipped_policies().values())
+    chosen = next(each for each in cards if (each.task, each.n_agents) == CELL)
+    assert chosen.attention_entropy == 0  # default_policies sorts by it
+    policy, card = load_policy(shipped_policies()[chosen.name])
     recording = record(make_task(card.task, card.n_agents), card.name, policy)
     sensed = int((recording.observations[..., -1] > 0).any(axis=1).argmax())
-    explainer = find_explainer(EXPLAINED[1])
+    explainer = find_explainer(EXPLAINER)
     last = recording.track.cycles
     return row([moment(recording, k, explainer) for k in (sensed - 1, sensed)] + [moment(recording, last)])
 

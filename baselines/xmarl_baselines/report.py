@@ -14,6 +14,7 @@ from pathlib import Path
 from statistics import median
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from xmarl_baselines.independent_ppo import CONTROLS
@@ -58,15 +59,15 @@ def final(cards: list[PolicyCard]) -> list[PolicyCard]:
 
 
 def cell_rows(cards: list[PolicyCard]) -> list[Row]:
-    """One row per recipe, team size and with or without the term: best seed, median of the seeds, paper."""
+    """One row per family, team size and with or without the term: best seed, median of the seeds, paper."""
     cells: defaultdict[tuple[str, str, int, bool], list[PolicyCard]] = defaultdict(list)
     for card in final(cards):
-        variant = card.training["recipe"].get("variant", "")
-        cells[card.task, variant, card.n_agents, card.attention_entropy > 0].append(card)
+        cells[card.task, card.family or "", card.n_agents, card.attention_entropy > 0].append(card)
     rows: list[Row] = []
-    for (task, _, n_agents, regularised), group in sorted(cells.items()):
+    for (task, family, n_agents, regularised), group in sorted(cells.items()):
         best = max(group, key=lambda card: selection_key(task, card.training["validation"]))
-        row: Row = {"task": task, "agents": n_agents, "lambda": best.attention_entropy, "seeds": len(group)}
+        row: Row = {"task": task, "family": family or "-", "agents": n_agents}
+        row |= {"lambda": best.attention_entropy, "seeds": len(group)}
         for title, name in MEASURES.items():
             theirs = PAPER[task, n_agents].get(name)
             values = [card.performance["with_messages"][name] for card in group]
@@ -91,7 +92,8 @@ def policy_rows(cards: list[PolicyCard]) -> list[Row]:
     rows = measured_rows(cards)
     for row, card in zip(rows, cards, strict=True):
         row["frames (M)"] = f"{card.training['frames'] / 1e6:.1f}"
-        row["minutes"] = f"{card.training['seconds'] / 60:.0f}"
+        seconds = card.training.get("cpu_seconds")
+        row["CPU minutes"] = "-" if seconds is None else f"{seconds / 60:.0f}"
         row["weights (sha256)"] = card.weights_sha256[:12]
     return rows
 
@@ -191,43 +193,47 @@ def filled(text: str) -> str:
     return text
 
 
+CURVES = {"success_rate": "success rate", "no_agent_collision": "episodes without agent collision"}
+COLOURS = {3: "#0072b2", 4: "#d55e00", 5: "#009e73"}  # by team size
+
+
 def draw(path: Path) -> None:
-    """Success and collision-free rate on the validation episodes along training, one panel per task."""
+    """The validation episodes along training: a column per task, for each family a row per measure."""
     import matplotlib  # of the `dev` extra
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    cards = [card for card in final(shipped_cards()) if card.training.get("curve")]  # older ones have none
-    names = sorted({card.task for card in cards})
+    cards = [card for card in final(shipped_cards()) if card.training.get("curve")]
+    tasks = sorted({card.task for card in cards})
+    rows = [(family, name) for family in sorted({card.family or "" for card in cards}) for name in CURVES]
     figure, panels = pyplot.subplots(
-        2, len(names), figsize=(11, 5.5), sharex="col", sharey=True, squeeze=False
+        len(rows), len(tasks), figsize=(11, 0.5 + 2.5 * len(rows)), sharex="col", sharey=True, squeeze=False
     )
-    colours = {3: "#0072b2", 4: "#d55e00", 5: "#009e73"}
-    for column, task in enumerate(names):
+    for (row, column), panel in np.ndenumerate(panels):
+        family, name = rows[row]
         for card in cards:
-            if card.task != task:
+            if (card.task, card.family or "") != (tasks[column], family):
                 continue
-            curve = card.training["curve"]
-            frames = [record["frames"] / 1e6 for record in curve]
-            style = "--" if card.attention_entropy else "-"
-            for row, name in enumerate(("success_rate", "no_agent_collision")):
-                panels[row, column].plot(
-                    frames, [record[name] for record in curve], style, color=colours[card.n_agents],
-                    linewidth=1.2, label=f"N = {card.n_agents}" + (", regularised" if style == "--" else ""),
-                )  # fmt: skip
-        panels[0, column].set_title(task)
-        panels[1, column].set_xlabel("frames (millions of team-steps)")
-    panels[0, 0].set_ylabel("success rate")
-    panels[1, 0].set_ylabel("episodes without agent collision")
-    for panel in panels.flat:
+            curve, regularised = card.training["curve"], card.attention_entropy > 0
+            panel.plot(
+                [record["frames"] / 1e6 for record in curve], [record[name] for record in curve],
+                "--" if regularised else "-", color=COLOURS[card.n_agents], linewidth=1.2,
+                label=f"N = {card.n_agents}" + (", regularised" if regularised else ""),
+            )  # fmt: skip
         panel.set_ylim(-0.02, 1.02)
         panel.grid(alpha=0.25)
-    named = [panel.get_legend_handles_labels() for panel in panels[0]]
+    for panel, task in zip(panels[0], tasks, strict=True):
+        panel.set_title(task)
+    for panel in panels[-1]:
+        panel.set_xlabel("frames (millions of team-steps)")
+    for panel, (family, name) in zip(panels[:, 0], rows, strict=True):
+        panel.set_ylabel(f"{family}: {CURVES[name]}" if family else CURVES[name], fontsize=8)
+    named = [panel.get_legend_handles_labels() for panel in panels.flat]
     labels = {label: handle for both in named for handle, label in zip(*both, strict=True)}
     unique = dict(sorted(labels.items()))
     figure.legend(unique.values(), unique.keys(), loc="lower center", ncols=len(unique), frameon=False)
-    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    figure.tight_layout(rect=(0, 0.12 / len(rows), 1, 1))
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
 

@@ -10,12 +10,27 @@ from torch import Tensor
 from torch_geometric.explain import Explainer as PygExplainer
 from torch_geometric.explain import ExplainerAlgorithm, ModelConfig
 from xmarl_baselines.policies import shipped_policies
-from xmarl_envs import make_task
+from xmarl_baselines.training.families import FAMILIES, Family
+from xmarl_envs import TASKS, make_task
 
 from xmarl_bench.policy import GraphPolicy, Policy, complete_graph, load_policy
+from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.default_policies import is_final
 from xmarl_bench.rollout.episodes import roll_out
 
-TRAINED = ["navigation-n3-lambda0-seed0", "passage-n3-lambda0-seed0", "discovery-n3-lambda0-seed0"]
+
+def shipped_name(task: str, n_agents: int = 3, family: Family = FAMILIES[0]) -> str:
+    """The shipped policy of training seed 0 without the attention-entropy term, of that family if there is one."""
+    cell = (task, n_agents, 0.0, 0)
+    cards = [
+        card
+        for card in map(load_card, shipped_policies().values())
+        if (card.task, card.n_agents, card.attention_entropy, card.training_seed) == cell and is_final(card)
+    ]
+    return min(cards, key=lambda card: card.family != family).name
+
+
+TRAINED = [shipped_name(task) for task in TASKS]
 
 
 def trained(name: str, n_steps: int, n_agents: int = 3) -> tuple[GraphPolicy, Tensor]:

@@ -22,12 +22,12 @@ from torch_geometric.explain import ExplainerAlgorithm, GNNExplainer, GraphMaskE
 from xmarl_baselines.explainers.gnn_explainer import gnn_explainer
 from xmarl_baselines.explainers.graphmask import graphmask
 
-from tests.baselines.reference import by_pyg, trained
+from tests.baselines.reference import by_pyg, shipped_name, trained
 from tests.benchmarks.conftest import Report
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 
 N_STEPS, GRAPHS, ROUNDS = 1024, 3, 5
-POLICIES = {"discovery": "discovery-n3-lambda0-seed0", "navigation": "navigation-paper-n3-lambda0-seed0"}
+POLICIES = {name: shipped_name(f"blind_{name}_v0") for name in ("discovery", "navigation")}
 PEERS: dict[str, tuple[Explainer, Callable[[], ExplainerAlgorithm]]] = {
     "GNNExplainer": (gnn_explainer, GNNExplainer),
     "GraphMask": (graphmask, lambda: GraphMaskExplainer(num_layers=1, log=False)),

@@ -18,6 +18,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from xmarl_baselines.explainers.attention import attention
 from xmarl_envs import make_task
 
+from tests.baselines.reference import shipped_name
 from tests.bench.units_of_work import memory, twenty_kilobytes
 from tests.benchmarks.conftest import Report
 from xmarl_bench.parallel.fan_out import fan_out
@@ -37,12 +38,12 @@ PIECES, OVERHEAD = 5000, 0.020  # seconds per piece
 # Bytes of this process from the 1000th piece to the last: results are 20 kB, 80 MB of them.
 GROWTH = 30 * 2**20
 GAIN = 1.7
-POLICY = "passage-n5-lambda0-seed0"
+POLICY = shipped_name("blind_passage_v0", 5)
 POLICIES = (
-    "discovery-n3-lambda0-seed0",
-    "navigation-n3-lambda0-seed0",
-    "navigation-n5-lambda0-seed0",
-    "passage-n4-lambda0-seed2",
+    shipped_name("blind_discovery_v0"),
+    shipped_name("blind_navigation_v0"),
+    shipped_name("blind_navigation_v0", 5),
+    shipped_name("blind_passage_v0", 4),
 )
 
 

@@ -1,6 +1,6 @@
 """The oracle beside one batched GNNExplainer, on the same states in the same run: `make bench`.
 
-1024 timesteps of the shipped navigation policy of the paper's architecture, whose decoder is the largest
+1024 timesteps of the shipped navigation policy, whose decoder is the largest of all tasks
 (256, 256): what the oracle does most of. `gnn_explainer_over_oracle` is the ratio of their times on
 one thread.
 """
@@ -17,6 +17,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from xmarl_baselines.explainers.gnn_explainer import gnn_explainer
 from xmarl_envs import make_task
 
+from tests.baselines.reference import shipped_name
 from xmarl_bench.explain.oracle import oracle_mask
 from xmarl_bench.plugins.registry import find_policies
 from xmarl_bench.policy import load_policy
@@ -33,7 +34,7 @@ def seconds(function: Callable[[], object]) -> float:
 
 @pytest.mark.parametrize("n_agents", [3, 4, 5])
 def test_the_oracle_costs_less_than_one_gnn_explainer(benchmark: BenchmarkFixture, n_agents: int) -> None:
-    policy, card = load_policy(find_policies()["navigation-paper-n3-lambda0-seed0"])
+    policy, card = load_policy(find_policies()[shipped_name("blind_navigation_v0")])
     episodes = roll_out(make_task(card.task, n_agents), policy, range(30))
     observations = torch.tensor(np.concatenate([each.observations for each in episodes])[:TIMESTEPS])
     assert len(observations) == TIMESTEPS

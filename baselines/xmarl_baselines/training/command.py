@@ -107,7 +107,7 @@ def command(
     Cell(task, agents)  # refuses a team that the task does not take
     recipe = recipe_for(task, family=family)
     if start_from is not None:
-        _check_start(start_from, task, agents)
+        _check_start(start_from, task, agents, family)
         recipe = recipe.fine_tuning()
     if frames is not None:
         recipe = replace(recipe, frames=frames)
@@ -159,19 +159,20 @@ def train_missing(out: Path, workers: Workers) -> int:
     return 1 if failed else 0
 
 
-def _check_start(folder: Path, task: str, agents: int) -> None:
-    """Raises InputError where `folder` is not a run of the same task and team size."""
+def _check_start(folder: Path, task: str, agents: int, family: Family) -> None:
+    """Raises InputError where `folder` is not a run of the same task, team size and family."""
     try:
         settings = json.loads((folder / "settings.json").read_text())
-        trained = (settings["recipe"]["task"], settings["n_agents"])
+        recipe = settings["recipe"]
+        trained = (recipe["task"], settings["n_agents"], recipe["family"])
     except (OSError, ValueError, KeyError, TypeError):
         trained = None
     if trained is None or not (folder / "checkpoint.zip").exists():
         raise InputError(f"{folder} holds no run with a checkpoint: give the folder of a run to start from.")
-    if trained != (task, agents):
+    if trained != (task, agents, family):
         raise InputError(
-            f"{folder} is a run of {trained[0]} with {trained[1]} agents, not of {task} with {agents}: "
-            f"start from a run of the same."
+            f"{folder} is a run of {trained[0]} with {trained[1]} agents and a {trained[2]} network, not of "
+            f"{task} with {agents} and a {family} one: start from a run of the same."
         )
 
 

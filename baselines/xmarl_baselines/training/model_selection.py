@@ -43,7 +43,7 @@ def weights_at(run: Path, record: Record) -> Path:
 
 
 class ModelSelection(BaseCallback):
-    """Plays the validation episodes every `every` frames, and keeps weights and figures.
+    """Plays the validation episodes when training passes a multiple of `every` frames; keeps weights, figures.
 
     `folder` holds curve.json, one record per look, and validated/FRAMES.safetensors; both outlive an
     interruption. `best` does not choose among policies from before frame `after` (the attention-entropy term
@@ -69,7 +69,8 @@ class ModelSelection(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        if self.num_timesteps - self._last >= self._every:
+        # Multiples, so that a resumed run validates at the same moments as a whole one.
+        if self.num_timesteps // self._every > self._last // self._every:
             self._last = self.num_timesteps
             self.validate()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from xmarl_baselines.training.families import Family, architecture
@@ -76,7 +76,13 @@ class Recipe:
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Recipe:
-        """The recipe that a card holds."""
+        """The recipe that a card holds. Raises InputError for fields of an older trainer."""
+        unknown = sorted(record.keys() - {each.name for each in fields(cls)})
+        if unknown:
+            raise InputError(
+                f"the recipe has unknown fields ({', '.join(unknown)}): an older version of xmarl-train wrote "
+                f"it; use that version."
+            )
         nested = {"shaping": Shaping(**record["shaping"]), "critic": tuple(record["critic"])}
         return cls(**{**record, **nested})
 

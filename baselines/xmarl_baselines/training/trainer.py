@@ -117,7 +117,7 @@ def train(
     selection = ModelSelection(
         folder,
         cell,
-        every=run.recipe.frames // VALIDATIONS,
+        every=max(1, run.recipe.frames // VALIDATIONS),
         after=run.regularised_from,
     )
     keeper = _Keeper(folder, checkpoint_every, seconds, report)

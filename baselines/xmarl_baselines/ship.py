@@ -20,8 +20,8 @@ from xmarl_baselines.training.model_selection import weights_at
 from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
 from xmarl_bench.rollout.evaluation import evaluate_policy
 
-# Percent of training, at which every run validates. Kailas et al. (ICML 2025), appendix on training iterations:
-# 20, 50 and 80 in the table, 10, 50 and 90 in the text.
+# Percent of training, at which every run validates. The appendix of Kailas et al. (ICML 2025) on training
+# iterations has 20, 50 and 80 in its table, 10, 50 and 90 in its text.
 ALONG_TRAINING = (10, 20, 50, 80, 90)
 
 

@@ -20,7 +20,7 @@ from xmarl_bench.rollout.episodes import roll_out
 
 
 def shipped_name(task: str, n_agents: int = 3, family: Family = FAMILIES[0]) -> str:
-    """The shipped policy of training seed 0 without the attention-entropy term, of that family if there is one."""
+    """The shipped policy of seed 0 without the attention-entropy term, of that family if there is one."""
     cell = (task, n_agents, 0.0, 0)
     cards = [
         card

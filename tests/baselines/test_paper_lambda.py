@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import torch
 from xmarl_baselines import paper_lambda
-from xmarl_baselines.distance_attention import attend_by_distance
-from xmarl_baselines.reference import PAPER_LAMBDAS, reference_runs, run_named, schedule_runs
+from xmarl_baselines.paper_schedule import PAPER_LAMBDAS, PAPER_SCHEDULE, schedule_runs
+from xmarl_baselines.reference import reference_runs, run_named
 from xmarl_baselines.report import lambda_rows
 from xmarl_baselines.training.mappo import MAPPO
 from xmarl_baselines.training.model_selection import plain_actor
-from xmarl_baselines.training.recipes import PAPER_SCHEDULE
 from xmarl_baselines.training.shaping import Shaping
 from xmarl_baselines.training.trainer import Run, build
 from xmarl_envs import TASKS
 
+from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.rollout.cell import Sampling
 
 # Kailas et al. (ICML 2025), appendix: learning rate, gamma, lambda of GAE, clip epsilon, normalised, epochs,
@@ -48,7 +48,9 @@ def test_the_schedule_is_the_papers_table(task: str) -> None:
         iteration,
         PAPER_LAMBDAS[task],
     )
-    assert (recipe.task, recipe.shaping, recipe.imitation) == (task, Shaping(), None)
+    assert (recipe.task, recipe.family, recipe.shaping) == (task, "paper", Shaping())
+    assert recipe.critic == ((128, 128) if task == "blind_discovery_v0" else (32, 32))
+    assert not recipe.architecture["residual"]
     for remaining in (1.0, 0.5, 0.0):
         assert recipe.learning_rate_at(remaining) == recipe.learning_rate
     model = build(Run(recipe, attention_entropy=PAPER_LAMBDAS[task]), seed=0)
@@ -61,6 +63,7 @@ def test_schedules_have_names_and_are_no_references() -> None:
     assert not runs.keys() & reference_runs().keys()
     for name, run in runs.items():
         assert run_named(name) == run
+        assert name.split("-")[1] == "n3"
         as_in_the_paper = PAPER_SCHEDULE[run.recipe.task].normalize_advantage
         other = "-raw-" in name or "-normalised-" in name
         assert run.recipe.normalize_advantage == (as_in_the_paper != other)
@@ -79,11 +82,25 @@ def test_shares_of_attention_by_hand() -> None:
     assert (paper_lambda.own_share(star), paper_lambda.most_heard(star)) == pytest.approx((1 / 3, 1))
 
 
+@torch.no_grad()
+def hears_itself_alone(policy: GraphPolicy) -> None:
+    """Agents attend to the sender at their own place, the first two entries of an observation."""
+    layer = policy.gat
+    for parameter in (layer.lin_l.weight, layer.lin_l.bias, layer.lin_r.weight, layer.lin_r.bias, layer.att):
+        parameter.zero_()
+    # |x_j - x_i| + |y_j - y_i| by pairs of LeakyReLUs, with a steep minus.
+    for k in range(4):
+        sign, entry = (-1) ** k, k // 2
+        layer.lin_l.weight[k, entry], layer.lin_r.weight[k, entry] = sign, -sign
+        layer.att[..., k] = -1e4
+    layer.lin_l.weight[4:] = 1.0  # messages are not 0
+
+
 def test_a_team_that_hears_itself_alone_depends_on_no_message(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paper_lambda, "STATES", Sampling(episodes=2, max_cycles=5))
     model = build(Run(PAPER_SCHEDULE["blind_navigation_v0"]), seed=0)
     before = paper_lambda.listening(plain_actor(model), "blind_navigation_v0", 3)
-    attend_by_distance(model.policy.actor, 1e4)
+    hears_itself_alone(model.policy.actor)
     after = paper_lambda.listening(plain_actor(model), "blind_navigation_v0", 3)
     assert before["communication_dependence"] > 1e-4
     assert after == pytest.approx(
@@ -92,7 +109,7 @@ def test_a_team_that_hears_itself_alone_depends_on_no_message(monkeypatch: pytes
 
 
 def test_a_run_is_recorded_and_becomes_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    name = "navigation-schedule-n3-lambda10-seed0"
+    name = "navigation-n3-schedule-lambda10-seed0"
     short = replace(schedule_runs()[name].recipe, n_envs=4, n_steps=20, batch_size=30, n_epochs=1)
     monkeypatch.setattr(paper_lambda, "run_named", lambda _: Run(short, attention_entropy=10.0))
     monkeypatch.setattr(paper_lambda, "STATES", Sampling(episodes=1))

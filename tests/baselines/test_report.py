@@ -8,10 +8,11 @@ import pytest
 import torch
 from xmarl_baselines import independent_ppo, ship
 from xmarl_baselines.policies import HERE
-from xmarl_baselines.report import READMES, cell_rows, draw, filled, final, shipped_cards
+from xmarl_baselines.report import READMES, cell_rows, draw, filled, final, policy_rows, shipped_cards
 
 from xmarl_bench.papers.kailas2025.paper import MAIN
-from xmarl_bench.policy import PolicyCard, load_policy
+from xmarl_bench.policy import PolicyCard
+from xmarl_bench.policy.bundle import load_card
 
 
 @pytest.mark.parametrize("readme", READMES, ids=lambda path: path.parent.name)
@@ -22,7 +23,7 @@ def test_the_tables_are_not_stale(readme: Path) -> None:
 
 
 def test_a_cell_states_best_median_and_paper() -> None:
-    def card(seed: int, success: float) -> PolicyCard:
+    def card(seed: int, success: float, family: str = "residual") -> PolicyCard:
         heard = {
             "success_rate": success,
             "no_agent_collision": 0.5,
@@ -36,14 +37,27 @@ def test_a_cell_states_best_median_and_paper() -> None:
             "task": "blind_navigation_v0",
             "n_agents": 3,
             "attention_entropy": 0.0,
+            "family": family,
         }
         return example.model_copy(update={**update, "performance": performance})
 
-    (row,) = cell_rows([card(0, 0.7), card(1, 0.9), card(2, 0.8)])
+    other, row = cell_rows([card(0, 0.7), card(1, 0.9), card(2, 0.8), card(0, 0.6, "paper")])
     assert row["success"] == "0.90 (0.80), paper 0.99"
     assert row["no wall contact"] == "-"
-    assert (row["best seed"], row["seeds"]) == ("x-seed1", 3)
+    assert (row["family"], row["best seed"], row["seeds"]) == ("residual", "x-seed1", 3)
+    assert (other["family"], other["success"]) == ("paper", "0.60 (0.60), paper 0.99")
     assert len(MAIN) == 9
+
+
+def test_training_time_is_in_cpu_minutes() -> None:
+    card = final(shipped_cards())[0]
+    row, unknown = policy_rows(
+        [
+            card.model_copy(update={"training": {"frames": 7_200_000, **more}})
+            for more in ({"cpu_seconds": 754.2}, {})
+        ]
+    )
+    assert (row["frames (M)"], row["CPU minutes"], unknown["CPU minutes"]) == ("7.2", "13", "-")
 
 
 def test_the_picture_is_drawn(tmp_path: Path) -> None:
@@ -66,11 +80,13 @@ def test_independent_agents_hear_nobody() -> None:
     torch.testing.assert_close(policy.distribution(x).action.reshape(-1, 2), torch.from_numpy(sb3))
 
 
-@pytest.mark.skipif(not list(HERE.glob("*-at100")), reason="no checkpoints along training are shipped")
-def test_the_last_checkpoint_along_training_is_no_earlier_than_the_best() -> None:
-    for folder in HERE.glob("*-at100"):
-        _, last = load_policy(folder)
-        _, best = load_policy(HERE / folder.name.removesuffix("-at100"))
-        assert last.training["validation"]["frames"] == best.training["curve"][-1]["frames"]
-        assert best.training["validation"]["frames"] <= last.training["validation"]["frames"]
-        assert set(ship.ALONG_TRAINING) == {20, 50, 80, 100}
+def test_checkpoints_along_training_are_of_their_moments() -> None:
+    for folder in HERE.glob("*-at*"):
+        checkpoint, finished = load_card(folder), load_card(HERE / folder.name.rsplit("-at", 1)[0])
+        if checkpoint.family is None:
+            continue  # of the trainer before this one
+        training = checkpoint.training
+        assert training["percent"] in ship.ALONG_TRAINING
+        assert training["validation"] in finished.training["curve"]
+        assert abs(training["validation"]["frames"] / training["frames"] - training["percent"] / 100) < 0.01
+        assert (checkpoint.initial_seed, checkpoint.family) == (finished.initial_seed, finished.family)

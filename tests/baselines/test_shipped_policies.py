@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from xmarl_envs import TASKS
 
+from tests.baselines.reference import shipped_name
 from xmarl_bench.entry.file import read_entry, write_entry
 from xmarl_bench.plugins.registry import find_policies
 from xmarl_bench.policy import load_policy
@@ -37,7 +38,7 @@ def test_cards_state_what_is_measured_again() -> None:
     """Success over the first quarter of the card's episodes: within what the others, and the rounding of
     another processor, may change (a difference of 0.1 is 2.3 standard errors where one in ten fails)."""
     for task in TASKS:
-        name = f"{task.removeprefix('blind_').removesuffix('_v0')}-n3-lambda0-seed0"
+        name = shipped_name(task)
         policy, card = load_policy(find_policies()[name])
         claimed = Performance(**card.performance)
         (measured,) = evaluate(

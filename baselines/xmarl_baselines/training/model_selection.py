@@ -43,7 +43,7 @@ def weights_at(run: Path, record: Record) -> Path:
 
 
 class ModelSelection(BaseCallback):
-    """Plays the validation episodes when training passes a multiple of `every` frames; keeps weights, figures.
+    """Plays the validation episodes at multiples of `every` frames, and keeps weights and figures.
 
     `folder` holds curve.json, one record per look, and validated/FRAMES.safetensors; both outlive an
     interruption. `best` does not choose among policies from before frame `after` (the attention-entropy term
@@ -85,7 +85,13 @@ class ModelSelection(BaseCallback):
             action: NDArray[np.float32] = policy.distribution(torch.from_numpy(observation)).action.numpy()
             return action
 
-        episodes = play(self._cell.make(), act, VALIDATION.seeds, parallel_episodes=VALIDATION.episodes)
+        episodes = play(
+            self._cell.make(),
+            act,
+            VALIDATION.seeds,
+            parallel_episodes=VALIDATION.episodes,
+            max_cycles=VALIDATION.max_cycles,
+        )
         frames = self.model.num_timesteps
         record: Record = {"frames": frames}
         for name in MEASURES:

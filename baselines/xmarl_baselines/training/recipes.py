@@ -80,8 +80,8 @@ class Recipe:
         unknown = sorted(record.keys() - {each.name for each in fields(cls)})
         if unknown:
             raise InputError(
-                f"the recipe has unknown fields ({', '.join(unknown)}): an older version of xmarl-train wrote "
-                f"it; use that version."
+                f"the recipe has unknown fields ({', '.join(unknown)}): an older version of xmarl-train "
+                f"wrote it; use that version."
             )
         nested = {"shaping": Shaping(**record["shaping"]), "critic": tuple(record["critic"])}
         return cls(**{**record, **nested})

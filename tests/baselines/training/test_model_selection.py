@@ -1,0 +1,97 @@
+"""The best policy of a run, by episodes that neither training nor scoring plays."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from xmarl_baselines.training import model_selection
+from xmarl_baselines.training.model_selection import ModelSelection, Record, plain_actor, selection_key
+from xmarl_baselines.training.trainer import VALIDATIONS, Run, build, train
+
+from tests.baselines.training.small_runs import small
+from xmarl_bench.rollout.evaluation import evaluate
+from xmarl_bench.score.request import Cell, Sampling
+
+VALIDATED = model_selection.VALIDATION.seed
+
+
+def test_model_selection_weighs_success_collisions_and_makespan() -> None:
+    def record(success: float, agents: float, makespan: float = 50.0) -> Record:
+        return {"success_rate": success, "no_agent_collision": agents, "makespan": makespan}
+
+    def best(*records: Record, care: float = 1.0) -> Record:
+        return max(records, key=lambda row: selection_key(row, care))
+
+    assert best(record(0.9, 0.2), record(0.8, 0.6)) == record(0.8, 0.6)
+    assert best(record(0.9, 0.2), record(0.8, 0.6), care=0.1) == record(0.9, 0.2)
+    assert best(record(0.8, 0.9), record(0.81, 0.0), care=0.0) == record(0.81, 0.0)
+    assert best(record(0.9, 0.5), record(0.9, 0.5, makespan=40.0)) == record(0.9, 0.5, makespan=40.0)
+
+
+def test_validation_plays_no_episode_of_scoring() -> None:
+    assert not set(Sampling(episodes=100, seed=VALIDATED).seeds) & set(Sampling(episodes=200).seeds)
+
+
+def test_every_look_is_kept(tmp_path: Path) -> None:
+    model = build(Run(small()), seed=0)
+    selection = ModelSelection(
+        tmp_path,
+        Cell("blind_navigation_v0", 3),
+        every=160,
+        after=320,
+        care=0.0,
+    )
+    model.learn(640, callback=selection)
+    selection.validate()
+    curve = selection.curve()
+    assert [row["frames"] for row in curve] == [160, 320, 480, 640]
+    assert curve == json.loads((tmp_path / "curve.json").read_text())
+    assert curve[0]["no_object_collision"] is None
+    policy, record = selection.best()
+    assert record["frames"] >= 320
+    last = selection.policy_at(curve[-1]).state_dict()
+    assert all(torch.equal(last[name], tensor) for name, tensor in plain_actor(model).state_dict().items())
+    assert record == curve[-1] or any(not torch.equal(last[k], v) for k, v in policy.state_dict().items())
+
+
+def test_a_run_validates_at_each_tenth_resumed_or_not(tmp_path: Path) -> None:
+    """As ship.py needs it: a resumed run looks at the same moments as a whole one."""
+    run, tenths = Run(small(frames=1600, batch_size=160, n_epochs=1)), [160 * k for k in range(1, 11)]
+    assert VALIDATIONS == 10
+    whole = train(run, tmp_path / "whole")
+    assert [record["frames"] for record in whole.curve] == tenths
+
+    def stop(frames: int, _: dict[str, float]) -> None:
+        if frames >= 640:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(run, tmp_path / "resumed", checkpoint_every=1, report=stop)
+    resumed = train(run, tmp_path / "resumed", resume=True)
+    assert [record["frames"] for record in resumed.curve] == tenths
+
+
+def test_tenths_that_a_checkpoint_lies_between(tmp_path: Path) -> None:
+    """Iterations of 80 frames, tenths of 160: the run goes on from frame 240."""
+    run = Run(small(frames=1600, n_steps=10, batch_size=80, n_epochs=1))
+
+    def stop(frames: int, _: dict[str, float]) -> None:
+        if frames >= 320:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(run, tmp_path / "run", checkpoint_every=1, report=stop)
+    assert json.loads((tmp_path / "run" / "progress.json").read_text())["frames"] == 240
+    resumed = train(run, tmp_path / "run", resume=True)
+    assert [record["frames"] for record in resumed.curve] == [160 * k for k in range(1, 11)]
+
+
+def test_validation_is_what_an_evaluation_of_the_same_episodes_says(tmp_path: Path) -> None:
+    """One batch for all episodes rounds differently; nothing else is different."""
+    trained = train(Run(small("blind_passage_v0")), tmp_path / "run")
+    (measured,) = evaluate([(trained.policy, Cell("blind_passage_v0", 3))], model_selection.VALIDATION)
+    for name in model_selection.MEASURES:
+        assert trained.validation[name] == pytest.approx(measured.with_messages[name]), name

@@ -1,0 +1,63 @@
+"""What the trainer is rewarded with, and what it reports."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from xmarl_baselines.training.shaping import Shaping, distance_through_gap, training_reward
+from xmarl_baselines.training.team_vec_env import TeamVecEnv
+from xmarl_envs import TASKS, BlindPassage, State, VectorEnv, make_task
+
+
+def test_teams_report_the_reward_of_the_task_not_the_shaped_one() -> None:
+    env = TeamVecEnv(make_task("blind_passage_v0"), 4, seed=0, max_cycles=5, shaping=Shaping(scale=0.0))
+    env.reset()
+    returns = []
+    for _ in range(5):
+        env.step_async(np.ones((4, 3, 2), np.float32))
+        _, reward, _, infos = env.step_wait()
+        assert (reward == 0).all()
+        returns += [info["episode"]["r"] for info in infos if "episode" in info]
+    assert len(returns) == 4
+    assert all(value != 0 for value in returns)
+
+
+def test_without_shaping_the_trainer_sees_the_reward_of_the_task() -> None:
+    for name in TASKS:
+        env = VectorEnv(make_task(name), 16)
+        env.reset(range(16))
+        rng = np.random.default_rng(0)
+        for _ in range(40):
+            before = env.world.position.copy()
+            step = env.step(rng.uniform(-1, 1, (16, 3, 2)))
+            shaped = training_reward(env.task, Shaping(), before, env.state, step)
+            np.testing.assert_allclose(shaped, step.reward, atol=1e-12)
+
+
+def test_proximity_is_one_at_contact_and_zero_out_of_range() -> None:
+    task = make_task("blind_navigation_v0")
+    env = VectorEnv(task, 1)
+    env.reset([0])
+    step = env.step(np.zeros((1, 3, 2)))
+    shaping = Shaping(proximity_penalty=2.0, proximity_range=0.4)
+    position = np.array([[[0.0, 0.0], [0.4, 0.0], [5.0, 0.0]]])  # surfaces 0.2 m apart: half way
+    state = State(position, np.zeros_like(position), position.copy(), np.zeros((1, 0, 2)))
+    near = training_reward(task, shaping, position, state, step)
+    far = training_reward(task, Shaping(), position, state, step)
+    np.testing.assert_allclose(near - far, [[-1.0, -1.0, 0.0]])
+
+
+def test_the_way_through_the_gap() -> None:
+    task = BlindPassage(n_agents=1)
+    walls = np.array([[[-1.2515, 0.0], [1.2515, 0.0]]])  # the gap is at x = 0
+    goal = np.array([[[0.0, 0.5]]])
+
+    def way(x: float, y: float) -> float:
+        position = np.array([[[x, y]]])
+        state = State(position, np.zeros_like(position), goal, walls)
+        return float(distance_through_gap(task, position, state)[0, 0])
+
+    assert way(0.0, -0.5) == pytest.approx(1.0)  # straight below the gap it is the straight line
+    assert way(0.0, 0.0) == pytest.approx(0.5)
+    assert way(0.3, 0.5) == pytest.approx(0.3)
+    assert way(0.5, -0.2) > way(0.2, -0.2) > way(0.0, -0.2)

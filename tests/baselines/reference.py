@@ -15,7 +15,7 @@ from xmarl_envs import TASKS, make_task
 
 from xmarl_bench.policy import GraphPolicy, Policy, complete_graph, load_policy
 from xmarl_bench.policy.bundle import load_card
-from xmarl_bench.policy.default_policies import is_final
+from xmarl_bench.policy.default_policies import is_checkpoint
 from xmarl_bench.rollout.episodes import roll_out
 
 
@@ -25,7 +25,8 @@ def shipped_name(task: str, n_agents: int = 3, family: Family = FAMILIES[0]) -> 
     cards = [
         card
         for card in map(load_card, shipped_policies().values())
-        if (card.task, card.n_agents, card.attention_entropy, card.training_seed) == cell and is_final(card)
+        if (card.task, card.n_agents, card.attention_entropy, card.training_seed) == cell
+        and not is_checkpoint(card)
     ]
     return min(cards, key=lambda card: card.family != family).name
 

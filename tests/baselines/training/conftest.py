@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from xmarl_baselines.training import model_selection
 
-from xmarl_bench.score.request import Sampling
+from xmarl_bench.rollout.cell import Sampling
 
 
 @pytest.fixture(autouse=True)

@@ -8,27 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 from xmarl_baselines.training import model_selection
-from xmarl_baselines.training.model_selection import ModelSelection, Record, plain_actor, selection_key
+from xmarl_baselines.training.model_selection import ModelSelection, plain_actor
 from xmarl_baselines.training.trainer import VALIDATIONS, Run, build, train
 
 from tests.baselines.training.small_runs import small
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.evaluation import evaluate
-from xmarl_bench.score.request import Cell, Sampling
 
 VALIDATED = model_selection.VALIDATION.seed
-
-
-def test_model_selection_weighs_success_collisions_and_makespan() -> None:
-    def record(success: float, agents: float, makespan: float = 50.0) -> Record:
-        return {"success_rate": success, "no_agent_collision": agents, "makespan": makespan}
-
-    def best(*records: Record, care: float = 1.0) -> Record:
-        return max(records, key=lambda row: selection_key(row, care))
-
-    assert best(record(0.9, 0.2), record(0.8, 0.6)) == record(0.8, 0.6)
-    assert best(record(0.9, 0.2), record(0.8, 0.6), care=0.1) == record(0.9, 0.2)
-    assert best(record(0.8, 0.9), record(0.81, 0.0), care=0.0) == record(0.81, 0.0)
-    assert best(record(0.9, 0.5), record(0.9, 0.5, makespan=40.0)) == record(0.9, 0.5, makespan=40.0)
 
 
 def test_validation_plays_no_episode_of_scoring() -> None:
@@ -42,7 +29,6 @@ def test_every_look_is_kept(tmp_path: Path) -> None:
         Cell("blind_navigation_v0", 3),
         every=160,
         after=320,
-        care=0.0,
     )
     model.learn(640, callback=selection)
     selection.validate()

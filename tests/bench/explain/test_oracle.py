@@ -26,7 +26,6 @@ from xmarl_bench.explain.oracle import (
 from xmarl_bench.metrics import prediction_change
 from xmarl_bench.policy import GraphPolicy
 
-
 with_and_without_residual = pytest.mark.parametrize("residual", [False, True], ids=["plain", "residual"])
 
 

@@ -180,7 +180,7 @@ def test_gradients_of_a_batch_are_uncoupled(make: Callable[[int], ModulePolicy])
 
 
 def test_no_mask_touches_the_residual() -> None:
-    """With every message masked, the decoder gets R x_i + b: the agent's own encoding through a linear map."""
+    """With every message masked, the decoder gets R x_i + b: a linear map of the agent's own encoding."""
     policy, observations = small_policy(6, 7, residual=True), random_observations(5, 4, 6)
     encoded = policy.encoder(observations)
     own = encoded @ policy.gat.res.weight.mT + policy.gat.bias

@@ -27,7 +27,7 @@ NAMING = {
     "scoring/behaviour.py": "computes those of behaviour",
     "scoring/measure.py": "computes those of sanity",
     "rollout/evaluation.py": "in which of them messages may gain",
-    "scoring/finished.py": "keeps the fields of an episode",
+    "scoring/results.py": "keeps the fields of an episode",
     "policy/default_policies.py": "ranks policies by what they can do",
     "submission/consistency.py": "which metrics follow from which",
     "board/assets/index.js": "what the page shows first, and of a policy",

@@ -2,7 +2,7 @@
 
     .venv/bin/python docs/make_ranking.py
 
-Run it when the board was built anew; tests/test_readme.py fails until then.
+Run it when the board was built anew; tests/docs/test_readme.py fails until then.
 """
 
 from __future__ import annotations

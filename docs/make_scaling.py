@@ -2,7 +2,7 @@
 
     .venv/bin/python docs/make_scaling.py
 
-Run it when entries were added or scored again; tests/test_scaling_page.py fails until then.
+Run it when entries were added or scored again; tests/docs/test_scaling_page.py fails until then.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 from xmarl_envs import TASKS
 
-from tests.policies import small_policy
+from tests.helpers.policies import small_policy
 from xmarl_bench.cli import main as cli
 from xmarl_bench.policy import save_policy
 

@@ -20,8 +20,8 @@ from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
 from xmarl_baselines.explainers.graphmask_pyg import graphmask_pyg
 
 from tests.baselines.reference import by_pyg
-from tests.deep_policies import Opened, one_layer, transformers, two_layers
-from tests.policies import random_observations, small_policy
+from tests.helpers.deep_policies import Opened, one_layer, transformers, two_layers
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.pyg import PygExplain
@@ -208,7 +208,7 @@ import os, resource, sys
 from dataclasses import replace
 from importlib.metadata import entry_points
 from xmarl_baselines.explainers import gnn_explainer
-from tests.policies import random_observations, small_policy
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.explainer import run_explainer
 gnn_explainer.SETTINGS = replace(gnn_explainer.SETTINGS, epochs=3)  # as much memory as 100, sooner
 for name in sys.argv[1:]:

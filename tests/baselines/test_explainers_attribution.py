@@ -16,8 +16,8 @@ from xmarl_baselines.explainers.occlusion import changes_without, occlusion
 from xmarl_baselines.explainers.shapley import exact_values, sampled_values, shapley, shapley_mask
 
 from tests.baselines.reference import TRAINED, trained
-from tests.deep_policies import one_layer, two_layers
-from tests.policies import random_observations, small_policy
+from tests.helpers.deep_policies import one_layer, two_layers
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.effect import effect_direction, share_of_largest, signed_to_unit
 from xmarl_bench.explain.explainer import run_explainer
 from xmarl_bench.explain.oracle import change_table

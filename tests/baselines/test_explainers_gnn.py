@@ -16,7 +16,7 @@ from xmarl_baselines.explainers.gnn_explainer import (
 from xmarl_baselines.explainers.gnn_explainer_tuned import gnn_explainer_tuned
 
 from tests.baselines.reference import TRAINED, by_pyg, trained
-from tests.policies import random_observations, small_policy
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.explainer import run_explainer
 from xmarl_bench.policy import GraphPolicy
 

@@ -32,7 +32,7 @@ from xmarl_baselines.explainers.graphmask_pyg import (
 from xmarl_baselines.frozen_policy import frozen
 
 from tests.baselines.reference import TRAINED, by_pyg, trained
-from tests.policies import random_observations, small_policy
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.explainer import run_explainer
 from xmarl_bench.policy import GraphPolicy
 

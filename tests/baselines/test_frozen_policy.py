@@ -10,8 +10,8 @@ from torch import Tensor, nn
 from xmarl_baselines.frozen_policy import Fused, frozen
 
 from tests.baselines.reference import TRAINED, trained
-from tests.deep_policies import two_layers
-from tests.policies import random_masks, random_observations, small_policy
+from tests.helpers.deep_policies import two_layers
+from tests.helpers.policies import random_masks, random_observations, small_policy
 from xmarl_bench.policy import Architecture, GraphPolicy, Policy
 
 

@@ -14,7 +14,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.bench.board.page.browser import Browse, browse, chromium
-from tests.bench.made_entries import made_board
+from tests.helpers.made_entries import made_board
 from xmarl_bench.board import build_board
 from xmarl_bench.entry.file import write_entry
 

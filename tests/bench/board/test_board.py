@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.policies import small_policy
+from tests.helpers.policies import small_policy
 from xmarl_bench.board import board_of, build_board
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, Record, make_entry

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench.made_entries import made_board, made_entry
 from tests.conftest import RunCli
+from tests.helpers.made_entries import made_board, made_entry
 from xmarl_bench.board import build, build_board, check_board
 from xmarl_bench.board.build import derived
 from xmarl_bench.entry.file import read_entries, write_entry

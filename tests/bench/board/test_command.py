@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench.installed import install
 from tests.conftest import MakeBundle, RunCli
+from tests.helpers.installed import install
 from xmarl_bench.board.command import command_of
 from xmarl_bench.entry.file import read_entries
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.bench.made_entries import made_board, made_entry
+from tests.helpers.made_entries import made_board, made_entry
 from xmarl_bench.board import board_of
 from xmarl_bench.board.ranking import Floats, complete_part, places, resampled
 from xmarl_bench.board.tables import Json

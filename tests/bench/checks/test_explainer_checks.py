@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 from torch_geometric.explain import GraphMaskExplainer
 
-from tests.bench.example_plugins import BAD
 from tests.conftest import MakeBundle, RunCli
-from tests.policies import random_observations, small_policy
+from tests.helpers.example_plugins import BAD
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench import as_explainer
 from xmarl_bench.checks import Finding, run_checks
 from xmarl_bench.checks.explainer_checks import CHECKS, ExplainerSubject

@@ -44,7 +44,7 @@ def out(tmp_path: Path) -> Path:
 def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     points = {
         registry.EXPLAINERS: [
-            EntryPoint(name, f"tests.bench.example_plugins:{attribute}", registry.EXPLAINERS)
+            EntryPoint(name, f"tests.helpers.example_plugins:{attribute}", registry.EXPLAINERS)
             for name, attribute in [
                 ("nan", "nan"), ("late-nan", "late_nan"), ("wrong-shape", "wrong_shape"), ("crash", "crash"),
                 ("broken", "no_such_name"), ("vandal", "vandal"), ("slow", "slow"),

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.bench.made_entries import made_entry
 from tests.bench.submission.edits import with_id
+from tests.helpers.made_entries import made_entry
 from xmarl_bench.entry.file import entry_text, parse_entry
 from xmarl_bench.records.files import canonical_json, pretty_json
 from xmarl_bench.records.json_lines import json_lines, members, object_of

@@ -22,7 +22,7 @@ from torch_geometric.explain import (
 )
 
 from tests.conftest import MakeBundle
-from tests.policies import random_observations, small_policy
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench import as_explainer, score
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import kebab, origin_of_explainer

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from torch_geometric.explain import GraphMaskExplainer
 
-from tests.bench.example_plugins import BAD, vandal
-from tests.policies import random_observations, small_policy
+from tests.helpers.example_plugins import BAD, vandal
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer, checked_mask, run_explainer

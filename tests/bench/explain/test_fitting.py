@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from tests.conftest import MakeBundle
-from tests.policies import small_policy
+from tests.helpers.policies import small_policy
 from xmarl_bench import as_explainer
 from xmarl_bench.explain.fitting import FIRST_FIT_SEED, FIT_EPISODES, FIT_TIMESTEPS, fit_states
 from xmarl_bench.policy import Policy, load_policy

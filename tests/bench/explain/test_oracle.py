@@ -10,8 +10,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.bench.dense_reference import reference_distribution
-from tests.policies import random_masks, random_observations, small_policy
+from tests.helpers.dense_reference import reference_distribution
+from tests.helpers.policies import random_masks, random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain import oracle
 from xmarl_bench.explain.oracle import (

@@ -18,8 +18,8 @@ from torch_geometric.explain import (
     PGExplainer,
 )
 
-from tests.deep_policies import two_layers
-from tests.policies import random_observations, small_policy
+from tests.helpers.deep_policies import two_layers
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.pyg import PygExplain, class_settings_kept

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from tests.policies import random_observations, small_policy
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.sanity import seed_stability, shuffled_weights, weight_randomisation

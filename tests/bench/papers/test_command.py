@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.conftest import MakeBundle, RunCli
-from tests.policies import small_policy
+from tests.helpers.policies import small_policy
 from xmarl_bench.papers.kailas2025 import plan
 from xmarl_bench.policy import save_policy
 

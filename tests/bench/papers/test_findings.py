@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from tests.bench.made_samples import made_samples
 from tests.conftest import RunCli
+from tests.helpers.made_samples import made_samples
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.errors import InputError
 from xmarl_bench.papers.kailas2025.claims import ATTENTION, GNN, Cell, Claim, beats

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.bench.made_samples import made_samples
+from tests.helpers.made_samples import made_samples
 from xmarl_bench.metrics.statistics import mann_whitney
 from xmarl_bench.papers.kailas2025.claims import (
     ATTENTION,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench.made_entries import ARCHITECTURE, made_entry
+from tests.helpers.made_entries import ARCHITECTURE, made_entry
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.papers.kailas2025.claims import GNN
 from xmarl_bench.papers.kailas2025.figures import INK, draw

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench import units_of_work
-from tests.bench.clusters import dask_cluster, ray_cluster
-from tests.bench.units_of_work import entries, kill_worker_once, some_rollouts
 from tests.conftest import MakeBundle
+from tests.helpers import units_of_work
+from tests.helpers.clusters import dask_cluster, ray_cluster
+from tests.helpers.units_of_work import entries, kill_worker_once, some_rollouts
 from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.fan_out import Failure, fan_out, in_order
 from xmarl_bench.parallel.workers import BackendName, Workers

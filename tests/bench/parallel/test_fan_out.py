@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from loky import get_reusable_executor
 
-from tests.bench import units_of_work
+from tests.helpers import units_of_work
 from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.fan_out import AHEAD, Failure, WorkerDiedError, fan_out, in_order
 from xmarl_bench.parallel.workers import BackendName, Workers
@@ -163,7 +163,7 @@ def test_a_worker_killed_from_outside_costs_nothing() -> None:
 
 SCRIPT = """
 import sys
-from tests.bench import units_of_work
+from tests.helpers import units_of_work
 from xmarl_bench.parallel.fan_out import fan_out
 from xmarl_bench.parallel.workers import Workers
 list(fan_out(units_of_work.hold, [sys.argv[1]] * 8, workers=Workers(2)))

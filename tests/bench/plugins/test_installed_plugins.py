@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench.forks import Ask, forks
-from tests.bench.fresh_environment import Environment
-from tests.bench.zygote import Request
 from tests.conftest import Ran
+from tests.helpers.forks import Ask, forks
+from tests.helpers.fresh_environment import Environment
+from tests.helpers.zygote import Request
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.plugins.new_package import write_package
 

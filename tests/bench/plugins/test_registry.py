@@ -34,19 +34,19 @@ def test_shipped_explainers_are_found_by_their_names() -> None:
 
 
 def test_a_plugin_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    install(monkeypatch, vandal="tests.bench.example_plugins:vandal")
+    install(monkeypatch, vandal="tests.helpers.example_plugins:vandal")
     origin = origin_of_explainer(registry.find_explainer("vandal"))
-    assert origin.entry_point == "tests.bench.example_plugins:vandal"
+    assert origin.entry_point == "tests.helpers.example_plugins:vandal"
 
 
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
         ("gone", "tests.bench.no_such_module:x", "ModuleNotFoundError"),
-        ("gone", "tests.bench.example_plugins:no_such_name", "AttributeError"),
-        ("gone", "tests.bench.example_plugins:not_an_explainer", "a str explains nothing"),
-        ("gone", "tests.bench.example_plugins:misnamed", "'another'"),
-        ("random", "tests.bench.example_plugins:vandal", "control"),
+        ("gone", "tests.helpers.example_plugins:no_such_name", "AttributeError"),
+        ("gone", "tests.helpers.example_plugins:not_an_explainer", "a str explains nothing"),
+        ("gone", "tests.helpers.example_plugins:misnamed", "'another'"),
+        ("random", "tests.helpers.example_plugins:vandal", "control"),
     ],
 )
 def test_a_plugin_that_does_not_load_is_an_error_with_its_name(
@@ -59,7 +59,7 @@ def test_a_plugin_that_does_not_load_is_an_error_with_its_name(
 
 
 def test_a_broken_plugin_does_not_stand_in_the_way_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    install(monkeypatch, broken="tests.bench.no_such_module:x", vandal="tests.bench.example_plugins:vandal")
+    install(monkeypatch, broken="tests.bench.no_such_module:x", vandal="tests.helpers.example_plugins:vandal")
     assert registry.find_explainer("vandal").name == "vandal"
 
 

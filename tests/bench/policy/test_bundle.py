@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tests.conftest import MakeBundle
-from tests.policies import random_observations, small_policy
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import load_policy, save_policy
 from xmarl_bench.policy.untrusted import CARD

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.policies import small_policy
+from tests.helpers.policies import small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.default_policies import default_policies

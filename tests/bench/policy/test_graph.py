@@ -13,7 +13,7 @@ from torch import Tensor
 from torch_geometric.explain.algorithm.utils import clear_masks, set_masks
 
 from tests.bench.policy.test_layers import CARD, random_policy, record
-from tests.policies import random_masks, random_observations
+from tests.helpers.policies import random_masks, random_observations
 from xmarl_bench import Explainer, score
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import run_explainer

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from tests.policies import random_masks, random_observations, small_policy
+from tests.helpers.policies import random_masks, random_observations, small_policy
 from xmarl_bench import score
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import (

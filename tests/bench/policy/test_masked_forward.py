@@ -15,9 +15,9 @@ from torch import Tensor, nn
 from torch_geometric.explain.algorithm.utils import clear_masks, set_masks
 from torch_geometric.nn import GATv2Conv, MessagePassing, SAGEConv
 
-from tests.bench.dense_reference import reference_distribution
-from tests.deep_policies import Opened, one_layer, transformers, two_layers
-from tests.policies import random_masks, random_observations, small_policy
+from tests.helpers.deep_policies import Opened, one_layer, transformers, two_layers
+from tests.helpers.dense_reference import reference_distribution
+from tests.helpers.policies import random_masks, random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import ModulePolicy, complete_graph
 

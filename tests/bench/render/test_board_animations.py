@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from tests.bench.installed import install
-from tests.bench.made_entries import made_entry
 from tests.conftest import MakeBundle, RunCli
+from tests.helpers.installed import install
+from tests.helpers.made_entries import made_entry
 from xmarl_bench.board import build_board, check_board
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.plugins.registry import find_explainer

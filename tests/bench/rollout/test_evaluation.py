@@ -9,7 +9,7 @@ import pytest
 import torch
 from xmarl_envs import make_task
 
-from tests.policies import small_policy
+from tests.helpers.policies import small_policy
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from xmarl_envs import make_task
 
-from tests.bench.example_plugins import BAD
-from tests.policies import small_policy
+from tests.helpers.example_plugins import BAD
+from tests.helpers.policies import small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy

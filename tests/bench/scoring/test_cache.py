@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.bench.scoring.full_disk import files_of_at_most
+from tests.helpers.full_disk import files_of_at_most
 from xmarl_bench.errors import InputError
 from xmarl_bench.records.files import locked, remove_leftovers, write_atomically
 from xmarl_bench.scoring.cache import Cache

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench.scoring.full_disk import files_of_at_most
 from tests.conftest import MakeBundle, Ran, RunCli
+from tests.helpers.full_disk import files_of_at_most
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.records.files import locked
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import cloudpickle
 import torch
 
-from tests.bench import units_of_work
-from tests.policies import small_policy
+from tests.helpers import units_of_work
+from tests.helpers.policies import small_policy
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import Policy

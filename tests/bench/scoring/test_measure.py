@@ -7,8 +7,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.bench.example_plugins import BAD
-from tests.policies import random_observations, small_policy
+from tests.helpers.example_plugins import BAD
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.entry.schema import ExplanationRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from xmarl_envs import TASKS
 
-from tests.bench.example_plugins import BAD, slow
 from tests.conftest import MakeBundle
+from tests.helpers.example_plugins import BAD, slow
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import BehaviourMetrics, Entry
 from xmarl_bench.errors import InputError

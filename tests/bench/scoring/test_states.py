@@ -10,8 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch_geometric.nn import GATv2Conv
 
-from tests.bench.dense_reference import reference_distribution
-from tests.policies import random_masks, random_observations, small_policy
+from tests.helpers.dense_reference import reference_distribution
+from tests.helpers.policies import random_masks, random_observations, small_policy
 from xmarl_bench.explain import oracle
 from xmarl_bench.policy import ModulePolicy, Policy
 from xmarl_bench.scoring.states import States

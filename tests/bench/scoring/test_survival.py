@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from xmarl_envs import TASKS
 
-from tests.bench.forks import Ask, forks
-from tests.bench.zygote import Request
-from tests.policies import small_policy
+from tests.helpers.forks import Ask, forks
+from tests.helpers.policies import small_policy
+from tests.helpers.zygote import Request
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.policy import save_policy
 

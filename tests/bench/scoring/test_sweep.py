@@ -12,8 +12,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.bench.example_plugins import BAD
 from tests.conftest import MakeBundle
+from tests.helpers.example_plugins import BAD
 from xmarl_bench.entry import aggregation
 from xmarl_bench.entry.aggregation import summarise
 from xmarl_bench.entry.schema import Entry, Summary

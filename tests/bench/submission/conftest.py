@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.policies import small_policy
+from tests.helpers.policies import small_policy
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy, save_policy

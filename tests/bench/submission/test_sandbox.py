@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tests.policies import random_observations, small_policy
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.plugins.registry import find_explainer

@@ -14,7 +14,7 @@ import pytest
 from tests.bench.submission.conftest import TASK, TEAM, Pack
 from tests.bench.submission.edits import edited, with_entry, with_manifest
 from tests.conftest import RunCli
-from tests.policies import small_policy
+from tests.helpers.policies import small_policy
 from xmarl_bench.entry.file import read_entry
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError

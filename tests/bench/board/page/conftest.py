@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from tests.bench.board.page.browser import browse, chromium
-from tests.bench.made_entries import made_board, made_entry
+from tests.helpers.made_entries import made_board, made_entry
 from xmarl_bench.board import build_board
 from xmarl_bench.entry.file import write_entry
 

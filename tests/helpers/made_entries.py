@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tests.policies import small_policy
+from tests.helpers.policies import small_policy
 from xmarl_bench.entry.protocol import DEFINITIONS
 from xmarl_bench.entry.schema import (
     BehaviourRow,

@@ -1,6 +1,6 @@
 """Runs command lines in forks of one process that has imported everything: 0.1 s each, not 5.
 
-    python -P tests/bench/zygote.py
+    python -P tests/helpers/zygote.py
 
 reads a `Request` as a JSON object a line, and writes an `Answer` for each.
 """

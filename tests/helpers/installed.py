@@ -18,7 +18,7 @@ def installed() -> dict[str, Path]:
 
 def install(monkeypatch: pytest.MonkeyPatch, **bundles: Path) -> None:
     """These policies, and no explainers but the controls."""
-    point = EntryPoint("installed", "tests.bench.installed:installed", registry.POLICIES)
+    point = EntryPoint("installed", "tests.helpers.installed:installed", registry.POLICIES)
     for name, bundle in bundles.items():
         monkeypatch.setitem(INSTALLED, name, bundle)
     monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == registry.POLICIES else [])

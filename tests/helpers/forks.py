@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.bench.zygote import Answer, Request
+from tests.helpers.zygote import Answer, Request
 
 ZYGOTE = Path(__file__).with_name("zygote.py")
 Ask = Callable[[Request], Answer]

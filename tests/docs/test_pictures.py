@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")

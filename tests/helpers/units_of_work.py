@@ -126,7 +126,7 @@ def some_rollouts() -> list[Rollout]:
     """Six pieces of real work by a small policy of random weights."""
     from xmarl_envs import TASKS
 
-    from tests.policies import small_policy
+    from tests.helpers.policies import small_policy
     from xmarl_bench.rollout.episodes import Rollout
 
     task = "blind_navigation_v0"

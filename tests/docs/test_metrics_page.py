@@ -8,7 +8,7 @@ from pathlib import Path
 
 from xmarl_bench.explain.controls import CONTROLS, INVERTED
 
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "metrics.md").read_text(encoding="utf-8")
 
 

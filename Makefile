@@ -5,6 +5,12 @@ STAMP := .venv/.installed
 BENCH_STAMP := .venv/.bench-installed
 # Two processes that share a machine's cores do best with one thread each.
 export OMP_NUM_THREADS ?= 1
+# For whoever edits a function: no training, browser, cluster or fresh process.
+QUICK := not slow and not training and not browser and not cluster
+
+# Where `make score` writes entries, leaderboard.json and index.html. Git ignores results/; leaderboard/ is the committed
+# board, which `make board` brings up to date.
+OUT ?= results
 
 # What is compared by default: every timestep of the 50 episodes. `make score ALL=1` takes every explainer on every
 # policy but checkpoints along training. The team plays on the masks of attention alone, for to act on an explanation
@@ -19,7 +25,7 @@ SCORE_OPTIONS ?= --policy default --explainer attention $(OTHERS:%=--explainer %
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv score test lint type bench wheel-test
+.PHONY: help venv score quick test lint type board bench wheel-test
 
 help:  ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -35,21 +41,28 @@ $(BENCH_STAMP): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench]'
 	touch $@
 
-score: $(STAMP)  ## Score each cell's best policy with three explainers and all controls; ALL=1: every policy and explainer
-	$(BIN)/xmarl-bench score --jobs 2 $(SCORE_OPTIONS)
+score: $(STAMP)  ## Score three explainers on each cell's best policy; ALL=1: all on all
+	$(BIN)/xmarl-bench score --jobs 2 --out $(OUT) $(SCORE_OPTIONS)
+
+quick: $(STAMP)  ## Run the tests that take half a minute together
+	$(BIN)/python -m pytest --numprocesses 2 -m "$(QUICK)"
 
 test: lint type  ## Run all checks: lint, types and the whole test suite
 	$(BIN)/python -m pytest --numprocesses 2
 
-lint: $(STAMP)  ## Check style and formatting with ruff
+lint: $(STAMP)  ## Check style and format with ruff
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-type: $(STAMP)  ## Check types of packages and tests with mypy --strict
+type: $(STAMP)  ## Check types of packages and tests with mypy
 	$(BIN)/mypy
 
-bench: $(BENCH_STAMP)  ## Measure environments, explainers and trainer beside VMAS, MPE2, PyG and BenchMARL
+board: $(STAMP)  ## Bring leaderboard/ and the documents made of it up to date: hours
+	$(MAKE) score ALL=1 OUT=leaderboard
+	for each in ranking scaling metrics; do $(BIN)/python docs/make_$$each.py || exit 1; done
+
+bench: $(BENCH_STAMP)  ## Measure tasks, explainers and trainer beside those of others
 	$(BIN)/python -m pytest --benchmark-only tests/benchmarks
 
-wheel-test: $(STAMP)  ## Build the wheel and try it in a clean environment outside the repository
+wheel-test: $(STAMP)  ## Build the wheel and try it outside the repository
 	PYTHON=$(BIN)/python bash tests/wheel_test.sh

@@ -64,7 +64,7 @@ def score(
     cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
     submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
-    out: Annotated[Path, typer.Option(help="Where entries/ and leaderboard.json go.")] = Path("leaderboard"),
+    out: Annotated[Path, typer.Option(help="Where entries/ and the page go.")] = Path("results"),
 ) -> None:
     """Score explainers on policies; write one entry per pair and rebuild the leaderboard.
 

@@ -33,6 +33,8 @@ _POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_se
 SCORE_COLUMNS = {
     metric.short: metric.name for metric in columns_of(*OF_EXPLAINERS) if metric.short is not None
 }
+WIDE = 140  # columns of a terminal that show all of them; a narrower one shows these:
+NARROW = (ORDER["by"], "fid_delta", "gef")
 
 
 def tasks() -> list[Row]:
@@ -151,8 +153,11 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
-    """A table per protocol and cell, as on the board, and a word on what was given fewer states."""
+    """A table per policy, in the board's order, and a word on what was given fewer states."""
     terminal = console()
+    narrow = terminal.width < WIDE
+    shown_here = {heading: name for heading, name in SCORE_COLUMNS.items() if not narrow or name in NARROW}
+    order, *others = shown_here
     board = board_of([(entry.file_name, entry) for entry in entries])
     for table in board["tables"]:
         protocol = board["protocols"][table["protocol"]]
@@ -161,30 +166,23 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
             if protocol["timesteps"] is None
             else f"{protocol['timesteps']} timesteps of each"
         )
-        shown = Table(
-            "policy and explainer",
-            title=f"{table['task']}, {table['n_agents']} agents: {protocol['episodes']} episodes, {steps}",
-            title_justify="left",
-        )  # fmt: skip
-        order, *others = SCORE_COLUMNS
-        for heading in (order, "95 %", *others):
-            shown.add_column(heading, justify="right")
+        states = f"{table['task']}, {table['n_agents']} agents: {protocol['episodes']} episodes, {steps}"
         for group in table["policies"]:
-            gate = "" if group["gate"] is None else f", not ranked: {group['gate']}"
-            shown.add_row(f"[bold]{group['name']}[/bold]{gate}")
+            gate = "" if group["gate"] is None else f"\nnot ranked: {group['gate']}"
+            shown = Table("explainer", title=f"{group['name']}\n{states}{gate}", title_justify="left")
+            for heading in (order, "95 %", *others):
+                shown.add_column(heading, justify="right")
             for row in group["rows"]:
                 metrics = row["metrics"]
                 by = metrics[ORDER["by"]]
                 low_high = None if by is None else by["interval"]
-                numbers = [_number(metrics[name]) for name in SCORE_COLUMNS.values()]
-                shown.add_row(
-                    "  " + row["explainer"] + (" (control)" if row["control"] else ""),
-                    numbers[0],
-                    "-" if low_high is None else f"{low_high[0]:.2f} {low_high[1]:.2f}",
-                    *numbers[1:],
-                )
-            shown.add_section()
-        terminal.print(shown)
+                first, *rest = [_number(metrics[name]) for name in shown_here.values()]
+                interval = "-" if low_high is None else f"{low_high[0]:.2f} {low_high[1]:.2f}"
+                name = row["explainer"] + (" (control)" if row["control"] else "")
+                shown.add_row(name, first, interval, *rest)
+            terminal.print(shown)
+    if narrow:
+        print(f"{WIDE} columns or more show more metrics; index.html and the entries have all.")
     for entry in entries:
         cost, timesteps = entry.cost, entry.cost.explained_timesteps
         print(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from hypothesis import HealthCheck, settings
 from xmarl_envs import TASKS
 
 from tests.helpers.policies import small_policy
@@ -19,6 +20,17 @@ from xmarl_bench.policy import save_policy
 # Ray reads these once a process, whoever is first to touch it there. A head takes work only from those who
 # have its token; workers are nice by default, and would get nothing for minutes where the machine is busy.
 os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_worker_niceness": "0"}
+
+# The same few examples on every run and machine: what fails, fails again. No deadline, as machines are busy.
+settings.register_profile(
+    "tests",
+    max_examples=20,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+settings.load_profile("tests")
 
 MakeBundle = Callable[..., Path]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import torch
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch_geometric.explain import AttentionExplainer, GraphMaskExplainer, PGExplainer
@@ -143,7 +143,7 @@ def alone() -> dict[str, Tensor]:
     }
 
 
-@settings(max_examples=5, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=5)
 @given(order=st.permutations([*SHIPPED, *UNMODIFIED]))
 def test_no_explainer_leaks_into_the_next_whatever_the_order(
     alone: dict[str, Tensor], order: list[Explainer]

@@ -6,7 +6,7 @@ from itertools import permutations
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 from torch_geometric.explain import CaptumExplainer
@@ -113,7 +113,6 @@ def test_shapley_values_are_the_mean_over_all_orders() -> None:
     )
 
 
-@settings(max_examples=20, deadline=None)
 @given(n_agents=st.integers(1, 6), seed=st.integers(0, 1000), residual=st.booleans())
 def test_shapley_axioms(n_agents: int, seed: int, residual: bool) -> None:
     policy, x = small_policy(6, seed, residual=residual), random_observations(3, n_agents, 6, seed)

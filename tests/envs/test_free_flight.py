@@ -11,8 +11,6 @@ from xmarl_envs import TASKS, Task, make_task
 from xmarl_envs.chamber import Chamber
 from xmarl_envs.free_flight import MOVES, fly, touching
 
-from tests.envs.properties import PROPERTY
-
 Floats = NDArray[np.float64]
 N_AGENTS, EPISODES = 3, 20
 
@@ -105,7 +103,6 @@ def test_walls_are_touched(x: float, y: float, expected: bool) -> None:
     assert touching(task, path, walls, pairs(task)).tolist() == [expected]
 
 
-@PROPERTY
 @given(seed=st.integers(0, 1_000_000), name=st.sampled_from(list(TASKS)))
 def test_no_contact_is_overlooked(seed: int, name: str) -> None:
     """Where Chipmunk's step ends elsewhere than free flight, `touching` said so."""

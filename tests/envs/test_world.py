@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from xmarl_envs import TASKS, BlindDiscovery, BlindNavigation, BlindPassage, Task, VectorEnv, make_task
 from xmarl_envs.world import World
 
-from tests.envs.properties import PROPERTY
-
 Floats = NDArray[np.float64]
 H = 0.05  # s, a substep
 KEPT = 0.75**0.5  # of the velocity, per substep
@@ -126,7 +124,6 @@ def test_the_border_holds_a_pushing_team(name: str, direction: tuple[int, int]) 
         assert np.abs(env.state.position).max() >= task.bound - 1e-3  # they did get there
 
 
-@PROPERTY
 @given(seed=st.integers(0, 10_000), push=st.tuples(PUSHES, st.just(1.0)))
 def test_a_team_pushing_against_the_wall_stays_below_it(seed: int, push: tuple[float, float]) -> None:
     task = BlindPassage(5)
@@ -139,7 +136,6 @@ def test_a_team_pushing_against_the_wall_stays_below_it(seed: int, push: tuple[f
         assert pair_penetration(env.state.position[0], task.radius) <= PENETRATION
 
 
-@PROPERTY
 @given(seed=st.integers(0, 1_000_000), hold=st.integers(1, 40), drawn=st.floats(0.0, 3.0))
 def test_nobody_crosses_the_wall_but_through_the_gap(seed: int, hold: int, drawn: float) -> None:
     """Full thrust in random directions, held for a while; `drawn` pulls towards the gap's mouth."""

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -86,7 +86,6 @@ def test_one_sender_has_no_budget() -> None:
     assert np.isnan(score_of(changes(1, 0, 2, 1), np.ones((2, 1, 1))))
 
 
-@settings(max_examples=50, deadline=None)
 @given(n_senders=st.integers(2, 5), seed=st.integers(0, 10**6))
 def test_at_most_one_and_one_for_the_best_ranking(n_senders: int, seed: int) -> None:
     change = changes(n_senders, seed)
@@ -100,7 +99,6 @@ def test_at_most_one_and_one_for_the_best_ranking(n_senders: int, seed: int) -> 
     assert score_of(additive, -worth) < 0.0
 
 
-@settings(max_examples=50, deadline=None)
 @given(
     values=st.lists(st.integers(0, 6), min_size=48, max_size=48),
     seed=st.integers(0, 10**6),

@@ -71,7 +71,7 @@ def test_deep_policies_are_scored_on_the_generic_path(layers: list[dict[str, Any
     assert "renorm_budgeted_fidelity" in cell.not_measured
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     conv=st.sampled_from(["GATConv", "GATv2Conv", "TransformerConv"]),
     heads=st.integers(1, 3),

@@ -24,7 +24,6 @@ from xmarl_bench.policy import ModulePolicy, complete_graph
 with_and_without_residual = pytest.mark.parametrize("residual", [False, True], ids=["plain", "residual"])
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     n_agents=st.integers(1, 6),
     seed=st.integers(0, 1000),
@@ -127,7 +126,7 @@ def test_a_mask_of_ones_is_no_mask_to_the_bit(residual: bool) -> None:
         )
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     n_agents=st.integers(1, 6),
     seed=st.integers(0, 1000),

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from xmarl_bench.policy import Architecture, GraphLayer, GraphPolicy, LayeredArchitecture
@@ -31,7 +31,6 @@ def built(network: type[GraphPolicy] | type[LayeredNetwork], architecture: objec
     return {name: tuple(tensor.shape) for name, tensor in state.items()}
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 7), st.integers(1, 3), widths, st.integers(1, 9), widths, st.booleans())
 def test_one_layer(
     obs_dim: int,
@@ -49,7 +48,6 @@ def test_one_layer(
     assert weight_shapes(architecture) == built(GraphPolicy, architecture)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     widths,
     st.lists(layers, min_size=1, max_size=3).map(tuple),

@@ -24,8 +24,11 @@ def test_no_picture_is_missing(made: dict[str, Image.Image]) -> None:
 
 @pytest.mark.parametrize("name", ["tasks", "blind_navigation_v0", "blind_passage_v0", "blind_discovery_v0"])
 def test_pictures_are_up_to_date(name: str, made: dict[str, Image.Image]) -> None:
-    """To the rounding of another processor. Otherwise run docs/make_pictures.py and look at what it made."""
+    """Seen from afar, for text and edges depend on the version of pygame. Otherwise run docs/make_pictures.py
+    and look at what it made.
+    """
     with Image.open(DOCS / f"{name}.png") as image:
-        kept = np.asarray(image.convert("RGB")).astype(int)
-    assert kept.shape == np.asarray(made[f"{name}.png"]).shape
-    assert np.abs(kept - np.asarray(made[f"{name}.png"])).mean() < 0.3
+        kept = image.convert("RGB")
+    assert kept.size == made[f"{name}.png"].size
+    old, new = (np.asarray(each.reduce(8)).astype(int) for each in (kept, made[f"{name}.png"].convert("RGB")))
+    assert np.abs(old - new).mean() < 0.5

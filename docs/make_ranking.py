@@ -18,8 +18,8 @@ BEGIN, END = "<!-- ranking:begin -->\n", "<!-- ranking:end -->"
 def section(ranking: dict[str, Any]) -> str:
     """The explainers in order, and between them the control that FidDelta cannot tell from the best one."""
     lines = [
-        f"Over the {len(ranking['policies'])} policies scored with them (`make board`), 0 is a random ranking "
-        "of the messages and 1 the best one:",
+        f"Over the {len(ranking['policies'])} policies scored with them (`make board`), 0 is a random "
+        "ranking of the messages and 1 the best one:",
         "",
         "| explainer | comm. budgeted fidelity | FidDelta |",
         "|---|---|---|",

@@ -19,7 +19,6 @@ from xmarl_baselines.explainers.attention import attention
 from xmarl_envs import make_task
 
 from tests.baselines.reference import shipped_name
-from tests.helpers.units_of_work import memory, twenty_kilobytes
 from tests.benchmarks.conftest import Report
 from tests.helpers.units_of_work import memory, twenty_kilobytes
 from xmarl_bench.parallel.fan_out import fan_out

@@ -16,7 +16,7 @@ from xmarl_baselines.training.trainer import Run, build, train
 from xmarl_envs import TASKS
 
 from tests.baselines.training.small_runs import small
-from tests.policies import random_observations, small_policy
+from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Architecture, PolicyCard, initial_policy, load_policy, save_policy
 

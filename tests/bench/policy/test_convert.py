@@ -23,7 +23,6 @@ from tests.bench.policy.test_hostile_bundles import RAN, Payload
 from tests.bench.policy.test_layers import GAT2, random_policy, record
 from tests.conftest import RunCli
 from tests.helpers.policies import random_observations, small_policy
-from tests.helpers.policies import random_observations
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy, LayeredArchitecture, complete_graph, load_policy
 from xmarl_bench.policy.build import weights_of

@@ -1,0 +1,125 @@
+"""BenchMARL's MAPPO, with the graph-attention actor of the reference policies, as a peer of the trainer.
+
+The model is BenchMARL's GNN (full topology, GATv2Conv, self loops), then its MLP of 256, 256, as in the
+navigation policies. To be imported where BenchMARL is installed, by the `bench` extra.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch_geometric.nn import GATv2Conv
+from torchrl import collectors
+
+# TorchRL has renamed some of what BenchMARL 1.5.1 imports; 1.5.2 needs another TorchRL.
+collectors.SyncDataCollector = collectors.Collector
+
+from benchmarl.algorithms import MappoConfig, mappo  # noqa: E402
+from benchmarl.environments import VmasTask  # noqa: E402
+from benchmarl.experiment import Callback, Experiment, ExperimentConfig  # noqa: E402
+from benchmarl.models import GnnConfig, MlpConfig, SequenceModelConfig  # noqa: E402
+
+WIDTH, DECODER, GOAL_RADIUS = 32, [256, 256], 0.1  # of the layer, of the MLP after it, m in VMAS
+EPISODES, EVERY = 100, 60_000  # of an evaluation; frames between evaluations
+
+
+def settings(folder: Path, **changes: object) -> ExperimentConfig:
+    """BenchMARL's own settings of an experiment, without logs and checkpoints."""
+    config = ExperimentConfig.get_from_yaml()
+    folder.mkdir()
+    quiet = {"loggers": [], "create_json": False, "render": False, "save_folder": str(folder)}
+    for name, value in (quiet | changes).items():
+        setattr(config, name, value)
+    return config
+
+
+def experiment(
+    config: ExperimentConfig, critic: MlpConfig, callback: Callback | None = None, **task: object
+) -> Experiment:
+    """MAPPO on VMAS navigation with three agents, ready to run.
+
+    task: settings of the scenario other than BenchMARL's own.
+    """
+    loss = mappo.ClipPPOLoss
+    if isinstance(loss, type):  # TorchRL's names of its coefficients have changed, too
+        mappo.ClipPPOLoss = lambda **given: loss(
+            **{f"{name}f" if name.endswith("_coef") else name: value for name, value in given.items()}
+        )
+    navigation = VmasTask.NAVIGATION.get_from_yaml()
+    navigation.config |= {"n_agents": 3, **task}
+    gnn = GnnConfig(topology="full", self_loops=True, gnn_class=GATv2Conv, gnn_kwargs={})
+    return Experiment(
+        task=navigation,
+        algorithm_config=MappoConfig.get_from_yaml(),
+        model_config=SequenceModelConfig(model_configs=[gnn, mlp(DECODER)], intermediate_sizes=[WIDTH]),
+        critic_model_config=critic,
+        seed=0,
+        config=config,
+        callbacks=[] if callback is None else [callback],
+    )
+
+
+def mlp(widths: list[int]) -> MlpConfig:
+    return MlpConfig(num_cells=widths, activation_class=nn.Tanh, layer_class=nn.Linear)
+
+
+def rates(rollouts: list[Any]) -> tuple[float, float]:
+    """Evaluation episodes -> fraction of agents at their goals at the end, of episodes without contacts."""
+    arrived, free = [], []
+    for rollout in rollouts:
+        ends: Tensor = rollout["next", "done"].flatten()
+        last = int(ends.float().argmax()) if bool(ends.any()) else len(ends) - 1  # the next episode follows
+        from_goal = rollout["next", "agents", "observation"][last, :, 4:6]
+        arrived.append((torch.linalg.vector_norm(from_goal, dim=-1) < GOAL_RADIUS).float().mean())
+        free.append((rollout["next", "agents", "info", "agent_collisions"][: last + 1] == 0).all().float())
+    return float(torch.stack(arrived).mean()), float(torch.stack(free).mean())
+
+
+class Stopped(Exception):  # noqa: N818
+    """Good enough, or out of time."""
+
+
+class Watch(Callback):  # type: ignore[misc]
+    """Stops a training where both rates are reached, or after `limit` CPU seconds without evaluations."""
+
+    def __init__(self, success: float, collision_free: float, limit: float) -> None:
+        super().__init__()
+        self.aim, self.limit = (success, collision_free), limit
+        self.rates, self.reached = (0.0, 0.0), False  # at the last evaluation
+        self.frames, self.seconds = 0, 0.0
+        self.since = 0.0  # CPU clock of what is counted next
+
+    def __getstate__(self) -> dict[str, Any]:
+        """BenchMARL pickles its callbacks, which hold the experiment."""
+        return {**self.__dict__, "experiment": None}
+
+    def on_train_end(self, training_td: Any, group: str) -> None:
+        self.seconds += time.process_time() - self.since
+        self.since = time.process_time()
+        self.frames = self.experiment.total_frames
+        if self.seconds > self.limit:
+            raise Stopped
+
+    def on_evaluation_end(self, rollouts: list[Any]) -> None:
+        self.rates = rates(rollouts)
+        self.reached = all(rate >= aim for rate, aim in zip(self.rates, self.aim, strict=True))
+        if self.reached:
+            raise Stopped
+        self.since = time.process_time()
+
+
+def train_until(folder: Path, success: float, collision_free: float, limit: float) -> Watch:
+    """BenchMARL's own settings of experiment, algorithm and task, until both rates are reached or `limit` CPU
+    seconds are spent."""
+    config = settings(folder, evaluation_episodes=EPISODES, evaluation_interval=EVERY, max_n_frames=10**9)
+    watch = Watch(success, collision_free, limit)
+    run = experiment(config, MlpConfig.get_from_yaml(), watch)
+    watch.since = time.process_time()
+    with suppress(Stopped):
+        run.run()
+    return watch

@@ -116,7 +116,13 @@ class Watch(Callback):  # type: ignore[misc]
 def train_until(folder: Path, success: float, collision_free: float, limit: float) -> Watch:
     """BenchMARL's own settings of experiment, algorithm and task, until both rates are reached or `limit` CPU
     seconds are spent."""
-    config = settings(folder, evaluation_episodes=EPISODES, evaluation_interval=EVERY, max_n_frames=10**9)
+    config = settings(
+        folder,
+        evaluation_episodes=EPISODES,
+        evaluation_interval=EVERY,
+        create_json=True,  # BenchMARL evaluates where somebody keeps the result
+        max_n_frames=10**9,
+    )
     watch = Watch(success, collision_free, limit)
     run = experiment(config, MlpConfig.get_from_yaml(), watch)
     watch.since = time.process_time()

@@ -6,6 +6,7 @@ import os
 import secrets
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,9 +36,21 @@ settings.load_profile("tests")
 MakeBundle = Callable[..., Path]
 
 
+TESTS = Path(__file__).parent
+MARKED = {
+    "baselines/training": "training",
+    "bench/board/page": "browser",
+    "bench/parallel/test_clusters.py": "cluster",
+}
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with slow tests first: of two processes none waits long for the other's last file."""
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    """Marks folders. Files with slow tests first, so that no process waits long for the other's last file."""
+    for item in items:
+        for folder, mark in MARKED.items():
+            if item.path.is_relative_to(TESTS / folder):
+                item.add_marker(mark)
+    slow = {item.path for item in items if any(map(item.get_closest_marker, {"slow", *MARKED.values()}))}
     items.sort(key=lambda item: item.path not in slow)
 
 
@@ -50,21 +63,22 @@ class Ran(NamedTuple):
 RunCli = Callable[..., Ran]
 
 
+def save_bundle(
+    folder: Path, task: str = "blind_navigation_v0", n_agents: int = 3, name: str = "small", seed: int = 0
+) -> Path:
+    """The folder of a saved random policy, below `folder`."""
+    policy = small_policy(len(TASKS[task].observation_names), seed)
+    place = folder / "policies" / name
+    save_policy(
+        place, policy, name=name, task=task, n_agents=n_agents, attention_entropy=0.5, training_seed=seed
+    )
+    return place
+
+
 @pytest.fixture
 def make_bundle(tmp_path: Path) -> MakeBundle:
-    """make_bundle(task, n_agents, name, seed) -> the folder of a saved random policy."""
-
-    def make(
-        task: str = "blind_navigation_v0", n_agents: int = 3, name: str = "small", seed: int = 0
-    ) -> Path:
-        folder = tmp_path / "policies" / name
-        policy = small_policy(len(TASKS[task].observation_names), seed)
-        save_policy(
-            folder, policy, name=name, task=task, n_agents=n_agents, attention_entropy=0.5, training_seed=seed
-        )
-        return folder
-
-    return make
+    """make_bundle(task, n_agents, name, seed) -> a bundle of this test's own."""
+    return partial(save_bundle, tmp_path)
 
 
 @pytest.fixture

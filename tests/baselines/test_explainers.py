@@ -100,6 +100,7 @@ def test_attention_rowmax_ranks_as_attention_and_keeps_the_best_message_whole() 
     torch.testing.assert_close(mask * alpha.amax(dim=-1, keepdim=True), alpha)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "policy",
     [small_policy(6, 2), small_policy(6, 2, residual=True), two_layers(6)],
@@ -143,6 +144,7 @@ def alone() -> dict[str, Tensor]:
     }
 
 
+@pytest.mark.slow
 @settings(max_examples=5)
 @given(order=st.permutations([*SHIPPED, *UNMODIFIED]))
 def test_no_explainer_leaks_into_the_next_whatever_the_order(
@@ -156,6 +158,7 @@ def test_no_explainer_leaks_into_the_next_whatever_the_order(
         assert torch.equal(mask, alone[explainer.name]), explainer.name
 
 
+@pytest.mark.slow
 @each
 def test_chunks_change_nothing_but_rounding(explainer: Explainer, monkeypatch: pytest.MonkeyPatch) -> None:
     if explainer is graphmask_pyg:
@@ -179,6 +182,7 @@ def test_timesteps_do_not_see_one_another(explainer: Explainer) -> None:
     assert torch.equal(one[1:], two[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
 @each
 def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer, residual: bool) -> None:
@@ -188,10 +192,11 @@ def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer, r
     torch.testing.assert_close(fast, generic, rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", [one_layer(6), two_layers(6), transformers(6)], ids=["1", "2", "3"])
 @each
 def test_policies_beyond_the_fast_path_are_explained(explainer: Explainer, policy: Policy) -> None:
-    observations = random_observations(2, 4, 6)
+    observations = random_observations(2, 3, 6)
     if explainer is graphmask_pyg and "Transformer" in str(policy):
         with pytest.raises(InputError, match="TransformerConv"):  # PyG's own does not work there
             run_explainer(explainer, policy, observations, 3)
@@ -216,7 +221,7 @@ for name in sys.argv[1:]:
         os.wait()
         continue
     (plugin,) = [p for p in entry_points(group="xmarl_bench.explainers") if p.name == name]
-    for n_steps in (1024, 8192):  # chunks are of 1024 timesteps at N = 8
+    for n_steps in (1024, 4096):  # chunks are of 1024 timesteps at N = 8
         run_explainer(plugin.load(), small_policy(6), random_observations(n_steps, 8, 6), 0)
         print(name, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, flush=True)
     os._exit(0)

@@ -53,13 +53,15 @@ def test_gradient_equals_finite_differences(residual: bool) -> None:
         torch.testing.assert_close(ours[:, i, j], expected, rtol=1e-5, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRAINED)
 def test_integrated_gradients_are_complete(name: str) -> None:
-    policy, x = trained(name, 5)
-    total = gradient_at(policy, x, midpoints(4000)).sum(dim=-1)
+    policy, x = trained(name, 3)
+    total = gradient_at(policy, x, midpoints(1000)).sum(dim=-1)
     torch.testing.assert_close(total, silence(policy, x), rtol=0, atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "arguments", "levels"),
     [
@@ -113,6 +115,7 @@ def test_shapley_values_are_the_mean_over_all_orders() -> None:
     )
 
 
+@pytest.mark.slow
 @given(n_agents=st.integers(1, 6), seed=st.integers(0, 1000), residual=st.booleans())
 def test_shapley_axioms(n_agents: int, seed: int, residual: bool) -> None:
     policy, x = small_policy(6, seed, residual=residual), random_observations(3, n_agents, 6, seed)
@@ -147,6 +150,7 @@ def test_fid_delta_is_a_game_with_twice_these_values() -> None:
     assert abs(exact_values(-fid_delta) - 2 * values).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_sampled_values_are_efficient_and_approach_the_exact_ones() -> None:
     policy, x = trained(TRAINED[2], 10, n_agents=5)
     exact = torch.from_numpy(exact_values(change_table(policy, x))).float()
@@ -158,6 +162,7 @@ def test_sampled_values_are_efficient_and_approach_the_exact_ones() -> None:
     torch.testing.assert_close(many, exact, rtol=0, atol=0.03)
 
 
+@pytest.mark.slow
 def test_shapley_of_several_layers_is_one_game_of_all_edges() -> None:
     policy, x = two_layers(6), random_observations(2, 3, 6)
     with torch.no_grad():

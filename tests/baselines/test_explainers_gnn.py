@@ -28,13 +28,15 @@ def pyg_masks(policy: GraphPolicy, observations: torch.Tensor, seed: int) -> tor
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRAINED)
 def test_batched_equals_pyg_one_graph_at_a_time_on_trained_policies(name: str) -> None:
-    policy, observations = trained(name, 6)
+    policy, observations = trained(name, 3)
     ours = run_explainer(gnn_explainer, policy, observations, 7)
     theirs = pyg_masks(policy, observations, 7)
-    torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-5)
-    first = random_logits(3, timestep_seeds(6, torch.Generator().manual_seed(7))).sigmoid()
+    # A hundred steps of Adam make of a rounding in float32 what is small beside the 0.1 below.
+    torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-3)
+    first = random_logits(3, timestep_seeds(3, torch.Generator().manual_seed(7))).sigmoid()
     assert (ours - first).abs().max() > 0.1  # the hundred steps did something
 
 
@@ -42,15 +44,17 @@ def test_batched_equals_pyg_one_graph_at_a_time_on_trained_policies(name: str) -
 def test_batched_equals_pyg_one_graph_at_a_time(residual: bool) -> None:
     policy, observations = small_policy(6, 5, residual=residual), random_observations(4, 3, 6)
     ours = run_explainer(gnn_explainer, policy, observations, 7)
-    torch.testing.assert_close(ours, pyg_masks(policy, observations, 7), rtol=0, atol=1e-5)
+    torch.testing.assert_close(ours, pyg_masks(policy, observations, 7), rtol=0, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_larger_teams_are_no_different() -> None:
     policy, observations = trained(TRAINED[2], 2, n_agents=8)
     ours = run_explainer(gnn_explainer, policy, observations, 3)
-    torch.testing.assert_close(ours, pyg_masks(policy, observations, 3), rtol=0, atol=1e-5)
+    torch.testing.assert_close(ours, pyg_masks(policy, observations, 3), rtol=0, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_edges_without_gradient_end_as_zero_and_stay_uncounted_as_in_pyg() -> None:
     policy = small_policy(6, 1)
     with torch.no_grad():
@@ -64,6 +68,7 @@ def test_edges_without_gradient_end_as_zero_and_stay_uncounted_as_in_pyg() -> No
     assert int((ours == 0).sum()) == 3
 
 
+@pytest.mark.slow
 def test_a_policy_that_ignores_its_team_is_explained_by_nothing_as_in_pyg() -> None:
     policy = small_policy(6, 1)
     with torch.no_grad():
@@ -107,6 +112,7 @@ def correlation(a: torch.Tensor, b: torch.Tensor) -> float:
     return float(torch.corrcoef(torch.stack([a.flatten(), b.flatten()]))[0, 1])
 
 
+@pytest.mark.slow
 def test_tuned_starts_from_zero_draws_nothing_and_changes_the_action_less() -> None:
     for name in TRAINED:
         policy, observations = trained(name, 40)

@@ -63,6 +63,7 @@ def assert_masks_are_pygs(
     return ours
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRAINED)
 def test_masks_equal_pygs_in_double_precision_on_trained_policies(name: str) -> None:
     policy, observations = trained(name, 5)
@@ -71,6 +72,7 @@ def test_masks_equal_pygs_in_double_precision_on_trained_policies(name: str) -> 
     assert 0 < float(masks.mean()) < 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
 @pytest.mark.parametrize("encoder", [(), (8,)], ids=["6 -> 8, untrained", "8 -> 8, trained"])
 def test_masks_of_larger_teams_equal_pygs_in_double_precision(
@@ -163,6 +165,7 @@ def as_policy_and_states(name: str) -> tuple[GraphPolicy, Tensor]:
     return trained(name, 30)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*TRAINED, "residual"])
 def test_graphmask_follows_the_gradient_of_its_formula(name: str) -> None:
     policy, observations = as_policy_and_states(name)

@@ -60,6 +60,7 @@ def test_training_time_is_in_cpu_minutes() -> None:
     assert (row["frames (M)"], row["CPU minutes"], unknown["CPU minutes"]) == ("7.2", "13", "-")
 
 
+@pytest.mark.slow
 def test_the_picture_is_drawn(tmp_path: Path) -> None:
     draw(tmp_path / "learning.png")
     assert (tmp_path / "learning.png").read_bytes().startswith(b"\x89PNG")
@@ -69,6 +70,7 @@ def test_all_shipped_policies_together_are_small() -> None:
     assert sum(path.stat().st_size for path in HERE.rglob("*") if path.is_file()) < 30 * 2**20
 
 
+@pytest.mark.slow
 def test_independent_agents_hear_nobody() -> None:
     model = independent_ppo.train("blind_discovery_v0", n_agents=2, frames=1, seed=0)
     policy = independent_ppo.IndependentPolicy(model)

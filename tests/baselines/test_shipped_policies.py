@@ -15,13 +15,20 @@ from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.evaluation import Performance, evaluate
 from xmarl_bench.scoring.score import score
 
+pytestmark = pytest.mark.slow
 
-def test_every_shipped_policy_scores(tmp_path: Path) -> None:
+
+def test_every_shipped_policy_loads_and_one_of_each_kind_scores(tmp_path: Path) -> None:
     policies = find_policies()
     assert len(policies) >= 6  # three tasks, with the attention-entropy term and without
+    seen = set()
     for name, folder in policies.items():
         _, card = load_policy(folder)
         assert card.name == name
+        kind = (card.task, card.family)
+        if kind in seen:
+            continue
+        seen.add(kind)
         entry = score(name, "attention", episodes=1, timesteps=5, max_cycles=40, behaviour_episodes=0)
         (cell,) = entry.results
         assert (cell.task, cell.n_agents) == (card.task, card.n_agents)
@@ -33,20 +40,19 @@ def test_every_shipped_policy_scores(tmp_path: Path) -> None:
         assert read_entry(write_entry(tmp_path, entry)) == entry
 
 
-@pytest.mark.slow
 def test_cards_state_what_is_measured_again() -> None:
-    """Success over the first quarter of the card's episodes: within what the others, and the rounding of
-    another processor, may change (a difference of 0.1 is 2.3 standard errors where one in ten fails)."""
+    """Success over the first eighth of the card's episodes: within what the others, and the rounding of
+    another processor, may change (a difference of 0.15 is 2.5 standard errors where one in ten fails)."""
     for task in TASKS:
         name = shipped_name(task)
         policy, card = load_policy(find_policies()[name])
         claimed = Performance(**card.performance)
         (measured,) = evaluate(
             [(policy, Cell(card.task, card.n_agents))],
-            Sampling(episodes=claimed.episodes // 4, seed=claimed.seed),
+            Sampling(episodes=claimed.episodes // 8, seed=claimed.seed),
         )
         for mine, theirs in (
             (measured.with_messages, claimed.with_messages),
             (measured.without_messages, claimed.without_messages),
         ):
-            assert mine["success_rate"] == pytest.approx(theirs["success_rate"], abs=0.1), name
+            assert mine["success_rate"] == pytest.approx(theirs["success_rate"], abs=0.15), name

@@ -6,6 +6,8 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
+import pytest
+
 from tests.conftest import RunCli
 from xmarl_bench.explain.adapters import DECLARATIONS
 from xmarl_bench.explain.explainer import Explainer
@@ -14,6 +16,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "explainers.md").read_text(encoding
 BLOCKS: list[str] = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_code_runs_from_top_to_bottom() -> None:
     assert len(BLOCKS) == 3
     names: dict[str, object] = {"__name__": "page"}
@@ -21,6 +24,7 @@ def test_the_code_runs_from_top_to_bottom() -> None:
         exec(compile(block, "explainers.md", "exec"), names)
 
 
+@pytest.mark.slow
 def test_the_commands_run(run_cli: RunCli, tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(BLOCKS[0].partition("entry =")[0])
     commands = re.findall(r"^xmarl-bench (score .*)$", PAGE, flags=re.MULTILINE)
@@ -34,5 +38,5 @@ def test_the_commands_run(run_cli: RunCli, tmp_path: Path) -> None:
 def test_every_declaration_is_in_the_table() -> None:
     rows = "\n".join(line for line in PAGE.splitlines() if line.startswith("|"))
     assert [name for name in DECLARATIONS if f"`{name}`" not in rows] == []
-    ours = {"explain", "control", "fit", "fitted_on"}  # of the harness
+    ours = {"explain", "control", "fit", "fitted_on", "origin"}  # of the harness
     assert {each.name for each in fields(Explainer)} - ours <= set(DECLARATIONS)

@@ -18,12 +18,14 @@ def test_there_is_code() -> None:
     assert "score(" in BLOCKS[0]
 
 
+@pytest.mark.slow
 def test_the_example_scores(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(BLOCKS[0], "README.md", "exec"), {"__name__": "readme"})
     printed = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in printed] == ["fid_plus", "fid_minus", "fid_delta", "gef"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", BLOCKS[1:])
 def test_the_other_examples_run(block: str) -> None:
     exec(compile(block, "README.md", "exec"), {"__name__": "readme"})

@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "scaling.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_costs_are_those_of_the_entries() -> None:
     """Otherwise run docs/make_scaling.py."""
     made = runpy.run_path(str(ROOT / "docs" / "make_scaling.py"))

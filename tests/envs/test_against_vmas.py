@@ -18,13 +18,15 @@ from tests.envs.fly_both import fly_ours, fly_vmas, straight
 from tests.envs.vmas_twin import VmasTwin
 from xmarl_bench.reproducible import one_thread
 
+pytestmark = pytest.mark.slow
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Actions = NDArray[np.float32]
 
 CELLS = [("blind_navigation_v0", 3), ("blind_passage_v0", 5), ("blind_discovery_v0", 3)]
 cells = pytest.mark.parametrize(("name", "n_agents"), CELLS, ids=[name for name, _ in CELLS])
-EPISODES, CYCLES = 32, 40
+EPISODES, CYCLES = 16, 40
 TOLERANCE = 1e-5  # m, m/s
 PER_METRE = {"blind_navigation_v0": 3.0, "blind_passage_v0": 100.0, "blind_discovery_v0": 1.0}
 

@@ -14,6 +14,7 @@ from xmarl_envs.trajectory import Pushes, play_env
 tasks = pytest.mark.parametrize("name", TASKS)
 
 
+@pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("n_agents", [1, 4])
 def test_there_and_back_again_is_the_same_episode(name: str, n_agents: int) -> None:

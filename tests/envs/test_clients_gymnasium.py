@@ -81,6 +81,7 @@ def test_the_peer_is_a_sound_gymnasium_environment() -> None:
     check_env(TeamEnv("blind_navigation_v0"), skip_render_check=True)
 
 
+@pytest.mark.slow
 @tasks
 @modes
 def test_every_step_is_that_of_gymnasium_s_own_vector_environment(name: str, mode: AutoresetMode) -> None:

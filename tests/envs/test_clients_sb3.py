@@ -50,6 +50,7 @@ def test_the_peer_is_what_sb3_asks_for() -> None:
     check_env(LoneAgentEnv("blind_navigation_v0", 20))
 
 
+@pytest.mark.slow
 @tasks
 def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str) -> None:
     """Every bit of observations, rewards, dones and infos, over terminations and truncations."""
@@ -120,6 +121,7 @@ def test_entries_are_the_agents_of_one_team_after_the_other(name: str) -> None:
         assert any(any(ended) and not all(ended) for ended in ends)  # each team in its own time
 
 
+@pytest.mark.training
 def test_ppo_learns_a_little_with_shared_parameters() -> None:
     task = make_task("blind_navigation_v0", N_AGENTS)
     env = AgentVecEnv(task, 16, max_cycles=MAX_CYCLES, copies_per_space=64)

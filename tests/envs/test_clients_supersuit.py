@@ -75,6 +75,7 @@ def test_a_team_that_is_done_is_not_told_as_out_of_time() -> None:
     assert ended[False] < 90
 
 
+@pytest.mark.training
 def test_ppo_learns_a_little_through_supersuit() -> None:
     env = blind_navigation_v0.parallel_env(n_agents=N_AGENTS, max_cycles=MAX_CYCLES)
     before, after = distances_before_and_after_learning(SuperSuitVecEnv(concatenated(env, 16)))
@@ -104,6 +105,7 @@ def test_copies_that_nobody_seeded_differ() -> None:
     assert len(np.unique(venv.reset()[0], axis=0)) == 12
 
 
+@pytest.mark.slow
 def test_several_processes_step_it_but_are_refused_where_seeds_matter() -> None:
     venv = concatenated(blind_passage_v0.parallel_env(max_cycles=3), 2, num_cpus=2)
     try:

@@ -103,6 +103,7 @@ def test_walls_are_touched(x: float, y: float, expected: bool) -> None:
     assert touching(task, path, walls, pairs(task)).tolist() == [expected]
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 1_000_000), name=st.sampled_from(list(TASKS)))
 def test_no_contact_is_overlooked(seed: int, name: str) -> None:
     """Where Chipmunk's step ends elsewhere than free flight, `touching` said so."""

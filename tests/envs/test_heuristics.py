@@ -18,6 +18,7 @@ def success(task: Task, act: Act) -> float:
     return play(task, act, EPISODES, copies_per_space=EPISODES).success
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "n_agents", "bar"),
     [

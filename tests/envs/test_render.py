@@ -74,6 +74,7 @@ def at(frame: Picture, colour: Colour) -> tuple[float, float]:
     return float(columns.mean()), float(rows.mean())
 
 
+@pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("n_agents", [1, 3, 5])
 def test_everybody_is_in_the_picture(name: str, n_agents: int) -> None:
@@ -89,7 +90,8 @@ def test_everybody_is_in_the_picture(name: str, n_agents: int) -> None:
     env.close()
 
 
-@pytest.mark.parametrize("n_agents", [1, 2, 8, 9, 16, 33, 64])
+@pytest.mark.slow
+@pytest.mark.parametrize("n_agents", [1, 9, 64])
 def test_any_team_is_drawn_in_colours_of_its_own(n_agents: int) -> None:
     colours = agent_colours(n_agents)
     assert len(set(colours)) == n_agents
@@ -309,6 +311,7 @@ def played(name: str, mode: str | None, n_agents: int = 3) -> list[NDArray[np.fl
     return states
 
 
+@pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("render_mode", ["rgb_array", "human"])
 def test_looking_changes_nothing(name: str, render_mode: str) -> None:
@@ -339,6 +342,7 @@ def test_a_closed_window_stays_closed_and_the_episode_goes_on() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_pictures_need_no_screen_at_all() -> None:
     """No video driver can be found here, and rgb_array does not ask for one."""
     code = (

@@ -40,6 +40,7 @@ def test_two_discs_that_meet_again_and_again_do_what_they_do_alone() -> None:
     assert n_contacts > 2500
 
 
+@pytest.mark.slow
 def test_a_correction_that_is_due_in_the_next_step_is_made() -> None:
     """Discs turn round as they touch: nothing pushes them in that step, but Chipmunk noted the overlap."""
     task = make_task("blind_navigation_v0", 2)
@@ -96,6 +97,7 @@ def test_the_same_batch_twice(name: str) -> None:
     np.testing.assert_array_equal(ends[0], ends[1])
 
 
+@pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("n_agents", [2, 5])
 def test_crowds_stay_apart(name: str, n_agents: int) -> None:

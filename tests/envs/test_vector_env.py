@@ -31,6 +31,7 @@ def test_shapes_and_types(name: str) -> None:
     assert {getattr(step, field).dtype for field in Step._fields[2:]} == {np.dtype(np.bool_)}
 
 
+@pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("copies", [8, 64])
 def test_copies_in_one_space_agree_with_spaces_of_their_own(name: str, copies: int) -> None:

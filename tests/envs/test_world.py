@@ -68,6 +68,7 @@ def test_free_flight_under_a_constant_force_is_the_closed_form() -> None:
         np.testing.assert_allclose(world.position[0, 0], np.array([0.2, -0.3]) + travelled, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", [BlindNavigation(2), BlindPassage(2), BlindDiscovery(2)])
 @pytest.mark.parametrize("push", [(1.0, 0.0), (1.0, 1.0)])  # along the diagonal force and speed are greatest
 @pytest.mark.parametrize("lateral", [0.0, 0.3])  # of a radius: head-on, and glancing
@@ -124,6 +125,7 @@ def test_the_border_holds_a_pushing_team(name: str, direction: tuple[int, int]) 
         assert np.abs(env.state.position).max() >= task.bound - 1e-3  # they did get there
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10_000), push=st.tuples(PUSHES, st.just(1.0)))
 def test_a_team_pushing_against_the_wall_stays_below_it(seed: int, push: tuple[float, float]) -> None:
     task = BlindPassage(5)
@@ -136,6 +138,7 @@ def test_a_team_pushing_against_the_wall_stays_below_it(seed: int, push: tuple[f
         assert pair_penetration(env.state.position[0], task.radius) <= PENETRATION
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 1_000_000), hold=st.integers(1, 40), drawn=st.floats(0.0, 3.0))
 def test_nobody_crosses_the_wall_but_through_the_gap(seed: int, hold: int, drawn: float) -> None:
     """Full thrust in random directions, held for a while; `drawn` pulls towards the gap's mouth."""

@@ -33,8 +33,7 @@ _POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_se
 SCORE_COLUMNS = {
     metric.short: metric.name for metric in columns_of(*OF_EXPLAINERS) if metric.short is not None
 }
-WIDE = 140  # columns of a terminal that show all of them; a narrower one shows these:
-NARROW = (ORDER["by"], "fid_delta", "gef")
+NAMES_WIDTH, INTERVAL_WIDTH = 26, 9  # columns of a terminal, for "integrated_gradients" and "0.95 0.97"
 
 
 def tasks() -> list[Row]:
@@ -152,12 +151,23 @@ def markdown(rows: Sequence[Row]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
+def _that_fit(width: int) -> dict[str, str]:
+    """As many of SCORE_COLUMNS as such a terminal shows in one line, the first at least."""
+    left = width - NAMES_WIDTH - INTERVAL_WIDTH - 7
+    fitting: dict[str, str] = {}
+    for heading, name in SCORE_COLUMNS.items():
+        left -= max(len(heading), len("-0.000")) + 3
+        if left < 0 and fitting:
+            break
+        fitting[heading] = name
+    return fitting
+
+
 def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
     """A table per policy, in the board's order, and a word on what was given fewer states."""
     terminal = console()
-    narrow = terminal.width < WIDE
-    shown_here = {heading: name for heading, name in SCORE_COLUMNS.items() if not narrow or name in NARROW}
-    order, *others = shown_here
+    fitting = _that_fit(terminal.width)
+    order, *others = fitting
     board = board_of([(entry.file_name, entry) for entry in entries])
     for table in board["tables"]:
         protocol = board["protocols"][table["protocol"]]
@@ -176,13 +186,13 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
                 metrics = row["metrics"]
                 by = metrics[ORDER["by"]]
                 low_high = None if by is None else by["interval"]
-                first, *rest = [_number(metrics[name]) for name in shown_here.values()]
+                first, *rest = [_number(metrics[name]) for name in fitting.values()]
                 interval = "-" if low_high is None else f"{low_high[0]:.2f} {low_high[1]:.2f}"
                 name = row["explainer"] + (" (control)" if row["control"] else "")
                 shown.add_row(name, first, interval, *rest)
             terminal.print(shown)
-    if narrow:
-        print(f"{WIDE} columns or more show more metrics; index.html and the entries have all.")
+    if len(fitting) < len(SCORE_COLUMNS):
+        print("A wider terminal shows more metrics; index.html and the entries have all.")
     for entry in entries:
         cost, timesteps = entry.cost, entry.cost.explained_timesteps
         print(

@@ -20,6 +20,8 @@ from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def entries(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:

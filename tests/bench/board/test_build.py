@@ -42,6 +42,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_check_says_what_is_stale(board: Path, run_cli: RunCli) -> None:
     assert run_cli("board", "check", board).code == 0
     for name in ("leaderboard.json", "leaderboard.csv", "index.html", "entry.html"):
@@ -58,6 +59,7 @@ def test_check_says_what_is_stale(board: Path, run_cli: RunCli) -> None:
     assert check_board(board) == []
 
 
+@pytest.mark.slow
 def test_check_sees_a_new_an_old_and_a_changed_entry(board: Path, run_cli: RunCli) -> None:
     path = write_entry(board / "entries", made_entry("p0", "c", 0.3))
     assert run_cli("board", "check", board).code == 1
@@ -206,6 +208,7 @@ def lay_out(folder: Path, files: dict[str, bytes]) -> None:
         (folder / name).write_bytes(data)
 
 
+@pytest.mark.slow
 def test_a_build_that_is_killed_leaves_a_whole_board(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     old = contents(board)
     next((board / "entries").glob("p1.*")).unlink()

@@ -13,6 +13,7 @@ from xmarl_bench.board.command import command_of
 from xmarl_bench.entry.file import read_entries
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [

@@ -90,6 +90,7 @@ def test_what_is_equal_but_for_rounding_shares_a_rank() -> None:
     assert [place.tie_group for place in found] == [2, 1, 1]
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(-1, 1), min_size=1, max_size=5), st.integers(1, 3), st.integers(0, 5))
 def test_places_are_a_ranking(levels: list[float], n_policies: int, seed: int) -> None:
     blocks = noisy(levels, n_policies, 8, seed)

@@ -50,6 +50,7 @@ def noisy(observations: Tensor, policy: Policy, generator: torch.Generator) -> T
     return policy.attention(observations) * torch.rand(len(observations), 1, 1, generator=generator)
 
 
+@pytest.mark.slow
 def test_what_is_right_passes() -> None:
     assert failed(attended) == {}
     assert failed(attended, accesses="attention") == {}
@@ -127,6 +128,7 @@ def slow(observations: Tensor, policy: Policy) -> Tensor:
     return policy.attention(observations)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("thing", "check", "said"),
     [
@@ -159,6 +161,7 @@ def test_slow_explainers_that_say_so_are_let_pass() -> None:
     assert failed(slow, "time per timestep", slow=True) == {}
 
 
+@pytest.mark.slow
 def test_memory_is_measured_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     def hungry(observations: Tensor, policy: Policy) -> Tensor:
         return policy.attention(observations) + 0 * torch.ones(64, 1024, 1024).sum()  # 256 MB
@@ -201,6 +204,7 @@ def own_file(tmp_path: Path) -> Iterator[str]:
     yield str(path)
 
 
+@pytest.mark.slow
 def test_the_command(
     run_cli: RunCli, make_bundle: MakeBundle, own_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

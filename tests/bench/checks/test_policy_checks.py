@@ -61,6 +61,7 @@ class Pilot(nn.Module):
         return torch.cat([loc, torch.zeros_like(loc)], dim=-1)
 
 
+@pytest.mark.slow
 def test_a_sound_policy_passes_every_check() -> None:
     found = list(check_policy(ModulePolicy(Pilot(), 6), CELL, timesteps=4, episodes=2))
     assert [each.check for each in found] == list(CHECKS)
@@ -82,6 +83,7 @@ def test_every_fault_is_found(fault: str, fails: set[str]) -> None:
     assert all(said.endswith(".") for said in found.values())
 
 
+@pytest.mark.slow
 def test_a_policy_that_flies_away_is_no_better_than_chance() -> None:
     assert "not more than chance" in failed(ModulePolicy(Pilot("lost"), 6), PLAYED)[PLAYED]
 
@@ -107,6 +109,7 @@ def test_weights_that_are_none_are_found() -> None:
     assert "'network.layer.bias' first" in failed(policy)["finite weights"]
 
 
+@pytest.mark.slow
 def test_on_the_command_line(tmp_path: Path, run_cli: RunCli) -> None:
     """Deep, on a graph that is not complete, and untrained: only the last is a failure."""
     policy: Any = random_policy(record(GAT2, graph={"kind": "radius", "radius": 1.0}))

@@ -55,6 +55,7 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "entry_points", lambda group: points[group])
 
 
+@pytest.mark.slow
 def test_score_writes_entries_and_board_and_prints_them(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path
 ) -> None:
@@ -76,6 +77,7 @@ def test_score_writes_entries_and_board_and_prints_them(
     assert "FidDelta" in ran.out
 
 
+@pytest.mark.slow
 def test_score_twice_writes_the_same_board(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
     arguments = ("score", "--policy", make_bundle(), "--explainer", "random", *QUICK, "--out", out)
     first, second = ((run_cli(*arguments), (out / "leaderboard.json").read_bytes())[1] for _ in range(2))
@@ -83,6 +85,7 @@ def test_score_twice_writes_the_same_board(run_cli: RunCli, make_bundle: MakeBun
     assert len(list((out / "entries").iterdir())) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
 def test_slow_explainers_are_given_less_and_it_says_so(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path
@@ -235,6 +238,7 @@ def test_what_was_finished_before_an_error_stays_and_is_on_the_board(
     assert row["explainer"] == "random"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
 def test_a_bad_explainer_is_refused_in_a_worker_process_too(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path
@@ -320,6 +324,7 @@ def test_evaluate(run_cli: RunCli, make_bundle: MakeBundle) -> None:
     assert "success" in run_cli(*arguments).out
 
 
+@pytest.mark.slow
 def test_the_installed_command_in_a_process_of_its_own(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "xmarl_bench.cli.main", "score", "--task", "nowhere", "--out", "x"],

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from scipy import stats
 
-from tests.conftest import MakeBundle, RunCli
+from tests.conftest import RunCli, save_bundle
 from xmarl_bench.compare.comparison import BETTER, compare
 from xmarl_bench.compare.matching import blocks_of, read_named, shared_states
 from xmarl_bench.entry.file import write_entry
@@ -22,9 +22,10 @@ from xmarl_bench.scoring.score import score
 Values = Sequence[float | None]
 
 
-@pytest.fixture
-def entry(make_bundle: MakeBundle) -> Entry:
-    return score(make_bundle(), "random", episodes=4, timesteps=2, max_cycles=4, behaviour_episodes=0)
+@pytest.fixture(scope="module")
+def entry(tmp_path_factory: pytest.TempPathFactory) -> Entry:
+    bundle = save_bundle(tmp_path_factory.mktemp("entry"))
+    return score(bundle, "random", episodes=4, timesteps=2, max_cycles=4, behaviour_episodes=0)
 
 
 def like(entry: Entry, explainer: str, values: Values, *, policy: str = "small", **changes: object) -> Entry:
@@ -128,6 +129,7 @@ def test_names_mean_the_states_that_all_share(entry: Entry) -> None:
         shared_states([both[0], slow])
 
 
+@pytest.mark.slow
 def test_the_command(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
     folder = tmp_path / "entries"
     files = [

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from tests.conftest import MakeBundle
+from tests.conftest import save_bundle
 from xmarl_bench.entry.aggregation import cell_metrics, metrics_of_cell, summarise
 from xmarl_bench.entry.file import read_entry, write_entry
 from xmarl_bench.entry.schema import Entry, EpisodeRow, Metrics, Summary, Verification, entry_id
@@ -19,9 +19,10 @@ from xmarl_bench.records.files import canonical_json, write_json
 from xmarl_bench.scoring.score import score
 
 
-@pytest.fixture
-def entry(make_bundle: MakeBundle) -> Entry:
-    return score(make_bundle(), "attention", episodes=3, max_cycles=6)
+@pytest.fixture(scope="module")
+def entry(tmp_path_factory: pytest.TempPathFactory) -> Entry:
+    bundle = save_bundle(tmp_path_factory.mktemp("entry"))
+    return score(bundle, "attention", episodes=3, max_cycles=6)
 
 
 def test_round_trip(tmp_path: Path, entry: Entry) -> None:
@@ -46,6 +47,7 @@ def edited(entry: Entry, edit: Any) -> str:
     return json.dumps(value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "said"),
     [

@@ -28,11 +28,13 @@ values = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(values, st.integers(0, 4))
 def test_lines_are_canonical_but_for_their_breaks(value: Any, levels: int) -> None:
     assert json_lines(value, levels).replace(b"\n", b"") == canonical_json(value)
 
 
+@pytest.mark.slow
 @given(st.dictionaries(st.text(), values, max_size=5))
 def test_members_make_the_object(value: dict[str, Any]) -> None:
     assert object_of(members(value)) == canonical_json(value)
@@ -66,6 +68,7 @@ def hyperparameter(value: Any) -> Callable[[dict[str, Any]], object]:
     return lambda entry: entry["explainer"]["hyperparameters"].update(level=value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [one_line, spaced])
 @pytest.mark.parametrize(
     ("edit", "said"),

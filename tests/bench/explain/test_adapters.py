@@ -163,6 +163,7 @@ def test_not_batched_is_called_for_one_timestep_at_a_time() -> None:
         run(lambda observations: torch.ones(4, 3, 3), batched=False)
 
 
+@pytest.mark.slow
 def test_signed_is_normalised_by_the_harness_and_recorded(make_bundle: MakeBundle) -> None:
     def signed(observations: Tensor) -> Tensor:
         return 100 * (observations[:, :, None, 0] - observations[:, None, :, 1])
@@ -252,6 +253,7 @@ ALGORITHMS: dict[str, Callable[[], ExplainerAlgorithm]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_algorithms_of_pyg_and_captum_are_taken_as_they_are(name: str) -> None:
     torch.manual_seed(len(name))  # what an algorithm draws when it is made must not matter

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -16,6 +17,8 @@ from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
+
+pytestmark = pytest.mark.slow
 
 FITTED: list[tuple[float, Tensor]] = []  # what every fit was given
 

@@ -57,6 +57,7 @@ def test_the_table_is_the_formula_row_by_row(residual: bool) -> None:
         np.testing.assert_allclose(table[r, s].numpy(), np.tanh(loc), atol=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(n_agents=st.integers(1, 5), seed=st.integers(0, 10**6), residual=st.booleans())
 def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int, residual: bool) -> None:

@@ -49,6 +49,7 @@ EVERY: dict[str, PygExplain] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_every_algorithm_of_pyg_runs_unmodified_and_repeats(name: str) -> None:
     policy, observations = small_policy(6, 2), random_observations(2, 3, 6)

@@ -11,7 +11,6 @@ from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.papers.kailas2025.beyond_claims import BEYOND_CLAIMS
 from xmarl_bench.papers.kailas2025.claims import (
     ORIENTATION,
-    Claim,
     Quantifier,
     Relation,
     beats,
@@ -40,19 +39,15 @@ def test_every_statement_has_a_name_of_its_own_and_a_place() -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
-def test_a_statement_asks_for_what_a_study_measures(claim: Claim) -> None:
-    for contrast in claim.contrasts:
-        assert contrast.metric in EpisodeRow.model_fields
-        assert contrast.metric in METRIC_NAMES
-        names = {term.explainer for side in (contrast.a, contrast.b) for term in side.terms}
-        assert names <= {*EXPLAINERS, *CONTROLS}
-        if names & set(CONTROLS):
-            assert claim.quantifier is Quantifier.TOGETHER  # one value per policy decides nothing in a cell
-    assert claim.cells
-    label = claim.contrasts[0].label
-    assert " against " in label
-    assert "None" not in label
+def test_statements_ask_for_what_a_study_measures() -> None:
+    for claim in CLAIMS:
+        assert claim.cells, claim.id
+        for contrast in claim.contrasts:
+            assert contrast.metric in {*EpisodeRow.model_fields} & {*METRIC_NAMES}, claim.id
+            names = {term.explainer for side in (contrast.a, contrast.b) for term in side.terms}
+            assert names <= {*EXPLAINERS, *CONTROLS}, claim.id
+            if names & set(CONTROLS):  # one value per policy decides nothing in a cell
+                assert claim.quantifier is Quantifier.TOGETHER, claim.id
 
 
 def test_the_explainers_are_registered_and_the_metrics_are_of_entries() -> None:

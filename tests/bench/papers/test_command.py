@@ -14,6 +14,8 @@ from tests.helpers.policies import small_policy
 from xmarl_bench.papers.kailas2025 import plan
 from xmarl_bench.policy import save_policy
 
+pytestmark = pytest.mark.slow
+
 SMALL = ("--episodes", 3, "--timesteps", 2, "--max-cycles", 6)
 
 
@@ -127,7 +129,6 @@ def assert_refused(ran: Any, said: str) -> None:
     assert said in ran.err
 
 
-@pytest.mark.slow
 def test_every_explainer_of_the_ledgers(
     run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -142,6 +142,7 @@ def test_bonferroni_counts_the_tests_of_the_statement() -> None:
     assert together.p_adjusted == min(1.0, 3 * together.compared.p)
 
 
+@pytest.mark.slow
 @given(st.floats(-0.5, 0.5), st.integers(0, 3))
 def test_exchanged_sides_turn_the_verdict_around(shift: float, seed: int) -> None:
     def level(cell: Cell, explainer: str, regularised: bool, metric: str) -> float:

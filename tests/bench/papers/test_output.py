@@ -19,6 +19,8 @@ from xmarl_bench.papers.kailas2025.samples import Samples
 from xmarl_bench.papers.kailas2025.tables import Table, decisive, tables_of
 from xmarl_bench.policy import PolicyCard
 
+pytestmark = pytest.mark.slow
+
 LEVELS = {"attention": 0.6, "gnn_explainer": 0.4, "graphmask-pyg": 0.2}
 TASK = "blind_navigation_v0"
 

@@ -45,6 +45,7 @@ def test_a_worker_computes_with_one_thread(monkeypatch: pytest.MonkeyPatch) -> N
         assert seen == {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
+@pytest.mark.slow
 def test_others_may_use_loky_before_and_after() -> None:
     """A thread has one pool of loky's processes, which its other users take for theirs."""
     for k in (3, 4):
@@ -120,6 +121,7 @@ def test_in_order_raises_the_first_error_as_it_was(workers: Workers) -> None:
         list(in_order(units_of_work.fail, [0, 2, 5], workers=workers))
 
 
+@pytest.mark.slow
 @BOTH
 def test_an_error_of_the_units_themselves_is_raised(workers: Workers) -> None:
     def units() -> Iterator[int]:
@@ -133,6 +135,7 @@ def test_an_error_of_the_units_themselves_is_raised(workers: Workers) -> None:
     assert list(in_order(units_of_work.square, range(5), workers=workers)) == [0, 1, 4, 9, 16]
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_costs_only_the_unit_that_kills_it() -> None:
     returned = dict(fan_out(units_of_work.kill_worker, range(10), workers=TWO))
     killers = [3, 8]
@@ -149,6 +152,7 @@ def test_a_worker_that_dies_costs_only_the_unit_that_kills_it() -> None:
         list(in_order(units_of_work.kill_worker, range(5), workers=TWO))
 
 
+@pytest.mark.slow
 def test_a_worker_killed_from_outside_costs_nothing() -> None:
     expected = [(k, k * k) for k in range(200)]
     returned = []
@@ -171,6 +175,7 @@ list(fan_out(units_of_work.hold, [sys.argv[1]] * 8, workers=Workers(2)))
 DEADLINE = 120  # seconds: only what hangs takes so long
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_workers_end_with_the_main_process(kill: signal.Signals, tmp_path: Path) -> None:
     """Each worker holds a pipe open as long as it lives, and nobody else does: its end is theirs."""

@@ -67,6 +67,7 @@ def names_of(word: str) -> set[str]:
     return {card.name for _, card, _ in select_policies([word], ["all"], ["all"])}
 
 
+@pytest.mark.slow
 def test_finished_are_all_but_checkpoints_and_families_are_parts_of_them() -> None:
     every, finished, residual = (names_of(word) for word in ("all", "finished", "residual"))
     assert every - finished == {name for name in every if "-at" in name}

@@ -202,6 +202,7 @@ def test_pyg_explains_on_the_policys_own_edges() -> None:
     assert not mask[~there].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layers", [LAYERS, LAYERS * 2], ids=["one layer", "two layers"])
 def test_policies_on_a_graph_are_scored(layers: list[dict[str, Any]], tmp_path: Path) -> None:
     graph = RadiusGraph(radius=0.9)

@@ -26,7 +26,7 @@ from xmarl_bench.policy import load_policy, save_policy
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 
 RAN: list[str] = []  # what a payload would leave behind
-MUTATIONS = 2000
+MUTATIONS = 500
 
 
 def fire() -> None:
@@ -213,6 +213,7 @@ def test_a_zip_of_the_two_files_is_a_bundle(make_bundle: MakeBundle, tmp_path: P
     assert ran.code == 0, ran.err
 
 
+@pytest.mark.slow
 def test_zips_that_are_none(make_bundle: MakeBundle, tmp_path: Path) -> None:
     folder = make_bundle()
     good = {name: (folder / name).read_bytes() for name in (CARD, WEIGHTS)}
@@ -309,7 +310,7 @@ def mutated_weights(data: bytes, rng: random.Random) -> bytes:
 
 
 @pytest.mark.slow
-def test_thousands_of_mutations_do_nothing(make_bundle: MakeBundle, tmp_path: Path) -> None:
+def test_mutations_do_nothing(make_bundle: MakeBundle, tmp_path: Path) -> None:
     """Each is refused with a sentence, or loads as a policy of the bounded size its record says."""
     deep = tmp_path / "policies" / "deep"
     save_policy(

@@ -53,6 +53,7 @@ def random_policy(architecture: LayeredArchitecture, seed: int = 0) -> Any:
     return build_policy(architecture, weights)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layers", [GAT2, TRANSFORMER], ids=["two layers of two heads", "transformer"])
 def test_deep_policies_are_scored_on_the_generic_path(layers: list[dict[str, Any]], tmp_path: Path) -> None:
     saved = save_policy(tmp_path / "deep", random_policy(record(layers)), name="deep", **CARD)

@@ -51,6 +51,7 @@ def wrong(one: Picture, other: Picture) -> float:
     return float((np.abs(one.astype(np.float64) - other).max(axis=-1) > 40).mean())
 
 
+@pytest.mark.slow
 def test_a_gif_shows_the_episode_at_twice_real_time(tmp_path: Path) -> None:
     recording = recorded(30)
     written = write_animation(recording, tmp_path / "a.gif")
@@ -76,6 +77,7 @@ def test_long_episodes_show_every_so_many_steps_in_a_gif(
     assert shown == [4 * 1000 / FPS] * 7 + [2 * 1000 / FPS, LAST_FRAME]
 
 
+@pytest.mark.slow
 def test_busy_episodes_lose_frames_until_the_gif_is_small(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,6 +93,7 @@ def test_busy_episodes_lose_frames_until_the_gif_is_small(
     assert sum(shown) == 30 * 1000 / FPS + LAST_FRAME  # as long as before
 
 
+@pytest.mark.slow
 def test_an_mp4_holds_every_step(tmp_path: Path) -> None:
     recording = recorded(30)
     written = write_animation(recording, tmp_path / "a.mp4")
@@ -119,6 +122,7 @@ def test_a_png_shows_six_moments(tmp_path: Path) -> None:
         np.testing.assert_array_equal(panel, np.asarray(small))
 
 
+@pytest.mark.slow
 def test_an_avif_is_small_and_shows_few_frames(tmp_path: Path) -> None:
     recording = recorded(90, 5)
     gif = write_animation(recording, tmp_path / "a.gif")
@@ -145,6 +149,7 @@ def test_an_episode_of_one_step(suffix: str, tmp_path: Path) -> None:
     assert write_animation(recorded(1), tmp_path / f"a.{suffix}").frames == 2
 
 
+@pytest.mark.slow
 def test_the_explanation_is_drawn_over_all_but_the_last_picture(
     tmp_path: Path, make_bundle: MakeBundle
 ) -> None:
@@ -163,6 +168,7 @@ def test_the_explanation_is_drawn_over_all_but_the_last_picture(
     np.testing.assert_array_equal(differ, [True, True, True, True, True, False])
 
 
+@pytest.mark.slow
 def test_the_same_bytes_again(tmp_path: Path) -> None:
     for suffix in ("gif", "png"):
         paths = [tmp_path / f"{k}.{suffix}" for k in range(2)]

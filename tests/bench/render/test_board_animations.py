@@ -32,6 +32,7 @@ def board(tmp_path: Path, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPat
     return folder
 
 
+@pytest.mark.slow
 def test_animations_are_drawn_once_and_shown(board: Path, run_cli: RunCli) -> None:
     ran = run_cli("board", "build", board, "--animations")
     assert ran.code == 0, ran.err
@@ -51,6 +52,7 @@ def test_animations_are_drawn_once_and_shown(board: Path, run_cli: RunCli) -> No
     assert next((board / "pages").glob("board-*.js")).read_bytes() != page
 
 
+@pytest.mark.slow
 def test_an_animation_goes_with_its_entry(board: Path) -> None:
     list(draw_missing(board))
     build_board(board)

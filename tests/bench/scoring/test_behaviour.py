@@ -57,6 +57,7 @@ def test_half_of_the_others_are_kept(n_agents: int, k: int) -> None:
     assert float(top.diagonal(dim1=1, dim2=2).max()) == 0.0
 
 
+@pytest.mark.slow
 def test_teams_hear_only_what_they_are_left_with() -> None:
     """A constant explanation is a constant mask, and that is a rollout of its own."""
     ranks = torch.tensor(

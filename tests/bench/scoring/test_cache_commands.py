@@ -37,6 +37,7 @@ def test_two_sweeps_into_one_folder(run_cli: RunCli, make_bundle: MakeBundle, ou
     assert not list(out.glob(".*"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [100, 6_000])  # not even a result, and not an entry
 def test_a_full_disk(size: int, run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path) -> None:
     folder = make_bundle()
@@ -104,6 +105,7 @@ def test_a_cache_is_seen_and_emptied(
     assert (out / "ab").exists()  # no cache, whatever its folders are called
 
 
+@pytest.mark.slow
 def test_a_module_beside_an_explainers_file_is_read_again(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ import pickle
 from pathlib import Path
 
 import cloudpickle
+import pytest
 import torch
 
 from tests.helpers import units_of_work
@@ -61,6 +62,7 @@ def test_in_this_process_nothing_is_copied() -> None:
     assert work(policy, "").load[0] is policy
 
 
+@pytest.mark.slow
 def test_each_worker_loads_it_once(tmp_path: Path) -> None:
     policy = small_policy(6)
     units = [work(policy, str(tmp_path)) for _ in range(12)]

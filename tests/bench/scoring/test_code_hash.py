@@ -156,6 +156,7 @@ def test_folders_that_name_their_modules_alike_do_not_mix(
     assert "helper" not in sys.modules
 
 
+@pytest.mark.slow
 def test_two_processes_agree(folder: Path) -> None:
     code = (
         "import sys; from xmarl_bench.origin.references import load_reference\n"

@@ -31,6 +31,7 @@ def bytes_of(entry: Entry) -> bytes:
     return canonical_json(entry.model_dump(mode="json", exclude={"provenance", "cost"}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", sorted(TASKS))
 def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make_bundle: MakeBundle) -> None:
     folder = make_bundle(task)
@@ -42,6 +43,7 @@ def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make
     assert runs[0].results[0].episodes[0].timesteps == 20
 
 
+@pytest.mark.slow
 def test_one_and_two_processes_write_the_same_bytes(make_bundle: MakeBundle) -> None:
     policies = [load_policy(make_bundle(task, name=task)) for task in sorted(TASKS)]
     fast, few = Sampling(episodes=4, max_cycles=15), Sampling(episodes=2, timesteps=1, max_cycles=15)
@@ -61,6 +63,7 @@ def test_one_and_two_processes_write_the_same_bytes(make_bundle: MakeBundle) -> 
     assert one == two
 
 
+@pytest.mark.slow
 def test_an_entry_does_not_depend_on_what_else_is_scored(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     samplings = Sampling(episodes=4, max_cycles=20), Sampling(episodes=2, timesteps=3, max_cycles=20)
@@ -151,6 +154,7 @@ def test_what_is_not_measured_says_why(make_bundle: MakeBundle) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_fewer_behaviour_episodes_are_the_first_of_more(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     cells, sampling = (Cell(card.task, 3),), Sampling(episodes=4, max_cycles=12)
@@ -254,6 +258,7 @@ def test_seeds_are_far_from_those_of_training_and_never_shared() -> None:
     assert len({derived_seed(*parts) for parts in [("a", 1), ("a1",), ("a", 2), (1, "a")]}) == 4
 
 
+@pytest.mark.slow
 def test_written_entries_are_the_same_files(tmp_path: Path, make_bundle: MakeBundle) -> None:
     folder = make_bundle()
     names = [

@@ -32,6 +32,8 @@ from xmarl_bench.scoring.run_record import run_records
 from xmarl_bench.scoring.score import Failed, score_requests
 from xmarl_bench.scoring.sweep import Handed, run
 
+pytestmark = pytest.mark.slow
+
 SAMPLING = Sampling(episodes=12, timesteps=2, max_cycles=5)
 
 

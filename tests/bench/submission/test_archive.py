@@ -64,6 +64,7 @@ def bzip2(archive: zipfile.ZipFile) -> None:
     archive.writestr("LICENSE", "x" * 100, compress_type=zipfile.ZIP_BZIP2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "said"),
     [
@@ -97,6 +98,7 @@ def test_what_a_zip_must_not_hold(tmp_path: Path, make: Make, said: str) -> None
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow
 def test_a_zip_that_lies_about_itself(tmp_path: Path, files: Mapping[str, bytes], pack: Pack) -> None:
     """Cut anywhere, sizes of a gigabyte claimed, and the checksum of another file."""
     data = pack(files).read_bytes()

@@ -132,6 +132,7 @@ FOUND: list[tuple[str, Edit]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("said", "edit"), FOUND)
 def test_numbers_that_do_not_fit_one_another_are_found(
     said: str, edit: Edit, entries: list[Entry], files: Mapping[str, bytes], pack: Pack
@@ -179,6 +180,7 @@ def test_a_policy_under_the_name_of_another_is_found(files: Mapping[str, bytes],
     assert all("policies/small: its name is not the policy.name of entries/" in each for each in findings)
 
 
+@pytest.mark.slow
 def test_validating_waits_for_no_torch(
     tmp_path: Path, entries: list[Entry], files: Mapping[str, bytes], pack: Pack
 ) -> None:

@@ -59,6 +59,7 @@ def fit(policy, observations, generator):
 
 stranger = Explainer("stranger", None, fit=fit, stochastic=True, hyperparameters={"more": 2})
 """
+pytestmark = pytest.mark.slow
 WALLS: list[Wall] = ["rlimits"] if strongest() == "rlimits" else [strongest(), "rlimits"]
 
 

@@ -42,6 +42,7 @@ def of_bundle(path: Path, entry: Entry, options: Options) -> Verdict:
     return verify(checked, f"entries/{entry.file_name}", options)
 
 
+@pytest.mark.slow
 def test_entries_are_verified_side_by_side(files: Mapping[str, bytes], pack: Pack, run_cli: RunCli) -> None:
     path = pack(files)
     one, two = (run_cli("verify", path, "--tier", "full", "--jobs", jobs, "--json").out for jobs in (1, 2))
@@ -49,6 +50,7 @@ def test_entries_are_verified_side_by_side(files: Mapping[str, bytes], pack: Pac
     assert len(json.loads(one)) == 2
 
 
+@pytest.mark.slow
 def test_an_honest_bundle_passes_every_tier_bit_for_bit(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack
 ) -> None:
@@ -71,6 +73,7 @@ def test_a_tampered_metric_is_found_by_recomputing(
     assert "results.0.metrics.comm_budgeted_fidelity.value is" in findings[0]
 
 
+@pytest.mark.slow
 def test_a_tampered_row_is_found_by_playing_it_again(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack
 ) -> None:
@@ -96,6 +99,7 @@ def test_a_tampered_row_is_found_by_playing_it_again(
         assert found == draws_it
 
 
+@pytest.mark.slow
 def test_tampered_behaviour_and_controls_are_found_by_running_everything(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack
 ) -> None:
@@ -196,6 +200,7 @@ def test_a_sign_off_is_a_block_of_its_own(
     assert (read_entry(file).verification.status, read_entry(file).verification.by) == ("recomputed", "B")
 
 
+@pytest.mark.slow
 def test_verify_exits_1_for_what_is_wrong_and_2_for_what_cannot_be_run(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack, tmp_path: Path, run_cli: RunCli
 ) -> None:
@@ -227,6 +232,7 @@ other = Explainer("stranger", explain, stochastic=False)
 '''  # fmt: skip
 
 
+@pytest.mark.slow
 def test_code_of_strangers_runs_when_trusted_and_walled_in(
     files: Mapping[str, bytes], policy_folder: Path, pack: Pack, tmp_path: Path, run_cli: RunCli
 ) -> None:

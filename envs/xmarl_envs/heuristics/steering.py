@@ -10,7 +10,7 @@ from xmarl_envs.world import TIME_STEP, VELOCITY_KEPT
 REACTION = 1.0  # 1/s; how fast a gap to somebody who goes first may be used up
 
 # N per m/s: what it takes to keep a velocity against the drag, and to correct one. The correction is soft:
-# a stiff one gains nothing in success or safety, and learners find it harder to imitate.
+# a stiff one gains nothing in success or safety.
 HOLD = (1.0 - VELOCITY_KEPT**0.5) * 2 / TIME_STEP  # two substeps
 CORRECT = 2.0
 

@@ -121,7 +121,7 @@ def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Perform
                 "agents": each.n_agents,
                 "lambda": card.attention_entropy,
                 **{metric.short or metric.title: both(metric) for metric in columns_of(Group.TASK)},
-                "messages help": "yes" if each.messages_help else "no",
+                "messages help": _cell(each.messages_help),
                 "attention entropy": "-"
                 if each.attention_entropy is None
                 else f"{each.attention_entropy:.2f}",

@@ -42,7 +42,8 @@ class Architecture(_Record):
     encoder_activation: Activation
     gat_width: Width
     gat_activation: Activation
-    residual: bool = False  # see GraphLayer
+    # See GraphLayer. Not written where it is False: records from before it was a field keep their hash.
+    residual: Annotated[bool, Field(exclude_if=lambda residual: not residual)] = False
     decoder: Widths
     decoder_activation: Activation
     distribution: Literal["tanh_normal"] = "tanh_normal"

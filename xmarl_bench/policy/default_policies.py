@@ -31,13 +31,19 @@ def is_checkpoint(card: PolicyCard) -> bool:
 
 
 def default_policies(cards: Iterable[PolicyCard], family: str = DEFAULT_FAMILY) -> list[PolicyCard]:
-    """One card of the family per task, team size and with or without the attention-entropy term; the first
-    of equals. Checkpoints, and policies without a validation, stand for nothing."""
+    """One card per task, team size and with or without the attention-entropy term; the first of equals.
+
+    It is of the family where the cell has one of it. Checkpoints, and policies without a validation, stand
+    for nothing.
+    """
     cells: defaultdict[tuple[str, int, bool], list[PolicyCard]] = defaultdict(list)
     for card in cards:
-        if card.family == family and not is_checkpoint(card) and "validation" in card.training:
+        if not is_checkpoint(card) and "validation" in card.training:
             cells[card.task, card.n_agents, card.attention_entropy > 0].append(card)
-    return [max(group, key=_key) for _, group in sorted(cells.items())]
+    return [
+        max([card for card in group if card.family == family] or group, key=_key)
+        for _, group in sorted(cells.items())
+    ]
 
 
 def _key(card: PolicyCard) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,15 +33,16 @@ class Performance:
     max_cycles: int
     with_messages: dict[str, float | None]
     without_messages: dict[str, float | None]  # F(identity): every agent hears itself only
-    # Success and reward with messages minus without, paired by episode: {metric: {value, low, high}}, 95 %.
-    messages_gain: dict[str, dict[str, float]]
     # nats, over the episodes with messages; log N is attention to all alike, None that nothing attends
     attention_entropy: float | None
+    # Success and reward with messages minus without, paired by episode: {metric: {value, low, high}}, 95 %.
+    # Empty in cards from before it was measured.
+    messages_gain: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
-    def messages_help(self) -> bool:
-        """Whether success or reward is higher with messages, by an interval that excludes 0."""
-        return any(gain["low"] > 0.0 for gain in self.messages_gain.values())
+    def messages_help(self) -> bool | None:
+        """Whether success or reward is higher with messages, by an interval that excludes 0; None: unknown."""
+        return any(gain["low"] > 0.0 for gain in self.messages_gain.values()) if self.messages_gain else None
 
     def record(self) -> dict[str, Any]:
         """As a policy card holds it, under `performance`."""

@@ -56,11 +56,15 @@ def test_one_for_each_task_team_size_and_regulariser() -> None:
     assert names == {"plain", "stronger", "larger", "elsewhere"}
 
 
-def test_checkpoints_other_families_and_unvalidated_policies_stand_for_nothing() -> None:
+def test_the_family_comes_first_and_others_stand_where_it_has_none() -> None:
+    others = [card("of-the-paper", 1.0, family="paper"), card("stranger", 0.7, n_agents=4, family=None)]
+    assert [each.name for each in default_policies([*others, card("ours", 0.9)])] == ["ours", "stranger"]
+
+
+def test_checkpoints_and_unvalidated_policies_stand_for_nothing() -> None:
     checkpoint = card("checkpoint", 1.0)
     checkpoint = checkpoint.model_copy(update={"training": {**checkpoint.training, "percent": 20}})
-    others = [card("of-the-paper", 1.0, family="paper"), card("stranger", 1.0, family=None)]
-    assert default_policies([checkpoint, *others, card("unvalidated", 1.0, training={})]) == []
+    assert default_policies([checkpoint, card("unvalidated", 1.0, training={})]) == []
 
 
 def names_of(word: str) -> set[str]:
@@ -72,7 +76,7 @@ def test_finished_are_all_but_checkpoints_and_families_are_parts_of_them() -> No
     every, finished, residual = (names_of(word) for word in ("all", "finished", "residual"))
     assert every - finished == {name for name in every if "-at" in name}
     assert residual == {name for name in finished if "-residual-" in name}
-    assert names_of("default") < residual
+    assert names_of("default") & residual
 
 
 def test_default_among_the_shipped_ones() -> None:

@@ -38,7 +38,7 @@ def test_messages_help_where_the_interval_excludes_zero(low: float, helps: bool)
         "success_rate": {"value": 0.2, "low": low, "high": 0.4},
         "reward": {"value": 0.0, "low": -1.0, "high": 1.0},
     }
-    performance = Performance("blind_passage_v0", 3, 50, 0, 300, {}, {}, gain, None)
+    performance = Performance("blind_passage_v0", 3, 50, 0, 300, {}, {}, None, gain)
     assert performance.messages_help is helps
 
 

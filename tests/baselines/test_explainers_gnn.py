@@ -40,6 +40,7 @@ def test_batched_equals_pyg_one_graph_at_a_time_on_trained_policies(name: str) -
     assert (ours - first).abs().max() > 0.1  # the hundred steps did something
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
 def test_batched_equals_pyg_one_graph_at_a_time(residual: bool) -> None:
     policy, observations = small_policy(6, 5, residual=residual), random_observations(4, 3, 6)

@@ -179,6 +179,7 @@ def test_graphmask_follows_the_gradient_of_its_formula(name: str) -> None:
     assert (fast == expected).flatten(1).all(dim=1).float().mean() >= 0.9
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(
     seed=st.integers(0, 1000),

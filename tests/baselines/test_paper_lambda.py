@@ -108,6 +108,7 @@ def test_a_team_that_hears_itself_alone_depends_on_no_message(monkeypatch: pytes
     )
 
 
+@pytest.mark.training
 def test_a_run_is_recorded_and_becomes_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = "navigation-n3-schedule-lambda10-seed0"
     short = replace(schedule_runs()[name].recipe, n_envs=4, n_steps=20, batch_size=30, n_epochs=1)

@@ -6,6 +6,9 @@ import torch
 
 from xmarl_bench.policy import Architecture, GraphPolicy
 
+# float32 rounds differently on every processor: 32 units in the last place of 1.
+ROUNDING = 2**-18
+
 
 def small_policy(
     obs_dim: int, seed: int = 0, encoder: tuple[int, ...] = (7,), *, residual: bool = False

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers.dense_reference import reference_distribution
-from tests.helpers.policies import random_masks, random_observations, small_policy
+from tests.helpers.policies import ROUNDING, random_masks, random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain import oracle
 from xmarl_bench.explain.oracle import (
@@ -54,7 +54,7 @@ def test_the_table_is_the_formula_row_by_row(residual: bool) -> None:
     for s, r in product(range(2), range(8)):
         mask = np.tile(binary_rows(3)[r].double().numpy(), (3, 1))
         loc, _ = reference_distribution(policy, observations[s].double().numpy(), mask)
-        np.testing.assert_allclose(table[r, s].numpy(), np.tanh(loc), atol=1e-6)
+        np.testing.assert_allclose(table[r, s].numpy(), np.tanh(loc), atol=ROUNDING)
 
 
 @pytest.mark.slow
@@ -82,7 +82,7 @@ def test_the_oracle_is_the_best_of_all_whole_masks(residual: bool) -> None:
     masks = torch.tensor(list(product([0.0, 1.0], repeat=9))).view(512, 3, 3)
     values = fid_delta(policy, observations.expand(512, 3, 5), masks).mean(axis=1)
     received = fid_delta(policy, observations, oracle_mask(policy, observations, torch.Generator())).mean()
-    assert received == pytest.approx(values.max(), abs=1e-6)
+    assert received == pytest.approx(values.max(), abs=ROUNDING)
     assert values.max() > 0.0
 
 
@@ -105,9 +105,9 @@ def test_renormalised_rows_drop_edges_before_the_softmax(residual: bool) -> None
             for i in kept:
                 others = policy.distribution(observations[:, kept]).action.numpy()[:, kept.index(i)]
                 expected = np.abs(full[:, i] - others).mean(axis=-1)
-                np.testing.assert_allclose(change[sum(1 << j for j in kept), :, i], expected, atol=1e-6)
+                np.testing.assert_allclose(change[sum(1 << j for j in kept), :, i], expected, atol=ROUNDING)
         nothing = policy.distribution(observations, torch.zeros(3, 4, 4)).action.numpy()
-    np.testing.assert_allclose(change[0], np.abs(full - nothing).mean(axis=-1), atol=1e-6)
+    np.testing.assert_allclose(change[0], np.abs(full - nothing).mean(axis=-1), atol=ROUNDING)
     assert change[-1].max() == 0.0
 
 
@@ -121,7 +121,7 @@ def test_chunks_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
         parts = change_table(policy, observations)
         widths = [len(table[0]) for _, table in action_tables(policy, observations)]
     assert widths == [7] * 7 + [1]
-    np.testing.assert_allclose(whole, parts, atol=1e-6)
+    np.testing.assert_allclose(whole, parts, atol=ROUNDING)
     assert whole[-1].max() == 0.0
 
 

@@ -59,6 +59,7 @@ def test_every_algorithm_of_pyg_runs_unmodified_and_repeats(name: str) -> None:
     assert torch.equal(mask, run_explainer(explainer, policy, observations, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["attention", "gnn", "pg", "IntegratedGradients"])
 def test_policies_of_several_layers_too(name: str) -> None:
     mask = run_explainer(Explainer(name, EVERY[name]), two_layers(6), random_observations(2, 3, 6), 1)

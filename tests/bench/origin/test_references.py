@@ -58,6 +58,7 @@ def test_functions_classes_and_objects_of_a_file(file: Path) -> None:
         assert explainer.hyperparameters.get("scale") == scale
 
 
+@pytest.mark.slow
 def test_a_module_is_known_by_its_package() -> None:
     explainer = find_explainer("torch_geometric.explain:DummyExplainer")
     assert explainer.name == "dummy-explainer"

@@ -17,7 +17,7 @@ from torch_geometric.nn import GATv2Conv, MessagePassing, SAGEConv
 
 from tests.helpers.deep_policies import Opened, one_layer, transformers, two_layers
 from tests.helpers.dense_reference import reference_distribution
-from tests.helpers.policies import random_masks, random_observations, small_policy
+from tests.helpers.policies import ROUNDING, random_masks, random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import ModulePolicy, complete_graph
 
@@ -45,8 +45,7 @@ def test_masked_forward_equals_the_formula(
         loc, scale = reference_distribution(
             policy, observations[s].double().numpy(), masks[s].double().numpy()
         )
-        # float32 rounds differently on every processor: 32 units in the last place of 1.
-        np.testing.assert_allclose(single.action[s].numpy(), np.tanh(loc), rtol=0, atol=2**-18)
+        np.testing.assert_allclose(single.action[s].numpy(), np.tanh(loc), rtol=0, atol=ROUNDING)
         np.testing.assert_allclose(single.scale[s].numpy(), scale, rtol=2e-6, atol=1e-6)
         np.testing.assert_allclose(double.loc[s].numpy(), loc, rtol=1e-10, atol=1e-12)
 
@@ -58,7 +57,7 @@ def test_batched_path_equals_pyg_forward(residual: bool) -> None:
     with torch.no_grad():
         batched = policy.distribution(observations).action
         each = torch.stack([policy(x, complete_graph(4)) for x in observations])
-    torch.testing.assert_close(batched, each, rtol=0, atol=1e-6)
+    torch.testing.assert_close(batched, each, rtol=0, atol=ROUNDING)
 
 
 @with_and_without_residual
@@ -72,7 +71,7 @@ def test_masked_path_equals_pyg_with_an_edge_mask_loops_included(residual: bool)
             theirs = model(x, complete_graph(4))
             ours = policy.distribution(x[None], mask[None]).action[0]
         clear_masks(model)
-        torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-6)
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=ROUNDING)
 
 
 @with_and_without_residual
@@ -111,9 +110,9 @@ def test_permuting_agents_permutes_actions(residual: bool) -> None:
         action = policy.decode(prepared, masks).action
         permuted_action = policy.decode(permuted, masks[:, order][:, :, order]).action
     torch.testing.assert_close(
-        permuted.attention, prepared.attention[:, order][:, :, order], rtol=0, atol=1e-6
+        permuted.attention, prepared.attention[:, order][:, :, order], rtol=0, atol=ROUNDING
     )
-    torch.testing.assert_close(permuted_action, action[:, order], rtol=0, atol=1e-6)
+    torch.testing.assert_close(permuted_action, action[:, order], rtol=0, atol=ROUNDING)
 
 
 @with_and_without_residual
@@ -164,8 +163,8 @@ def test_a_batch_is_pyg_one_graph_at_a_time(make: Callable[[int], ModulePolicy])
             set_masks(model, masks[s].reshape(-1), complete_graph(3), apply_sigmoid=False)
             masked = model(observations[s], complete_graph(3))
             clear_masks(model)
-        torch.testing.assert_close(batched[s], masked, rtol=0, atol=1e-6)
-        torch.testing.assert_close(whole[s], plain, rtol=0, atol=1e-6)
+        torch.testing.assert_close(batched[s], masked, rtol=0, atol=ROUNDING)
+        torch.testing.assert_close(whole[s], plain, rtol=0, atol=ROUNDING)
         assert (masked - plain).abs().max() > 1e-3
 
 
@@ -185,11 +184,11 @@ def test_no_mask_touches_the_residual() -> None:
     own = encoded @ policy.gat.res.weight.mT + policy.gat.bias
     with torch.no_grad():
         nothing = policy.distribution(observations, torch.zeros(5, 4, 4))
-        torch.testing.assert_close(nothing.loc, policy.head(own).loc, rtol=0, atol=1e-6)
+        torch.testing.assert_close(nothing.loc, policy.head(own).loc, rtol=0, atol=ROUNDING)
         # Without a residual every agent gets b alone, and all act alike.
         plain = small_policy(6, 7).distribution(observations, torch.zeros(5, 4, 4)).loc
     assert (nothing.loc[:, 0] - nothing.loc[:, 1]).abs().max() > 1e-2
-    torch.testing.assert_close(plain, plain[:1, :1].expand_as(plain), rtol=0, atol=1e-6)
+    torch.testing.assert_close(plain, plain[:1, :1].expand_as(plain), rtol=0, atol=ROUNDING)
 
 
 def test_rows_act_alone_in_one_layer_only() -> None:

@@ -177,6 +177,7 @@ def test_the_same_bytes_again(tmp_path: Path) -> None:
         assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
+@pytest.mark.slow
 def test_render_on_the_command_line(run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path) -> None:
     out = tmp_path / "new folder" / "episode.gif"
     ran = run_cli(

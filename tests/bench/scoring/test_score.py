@@ -81,6 +81,7 @@ def test_an_entry_does_not_depend_on_what_else_is_scored(make_bundle: MakeBundle
     assert len(together) == 4
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_score(make_bundle: MakeBundle) -> None:
     folder = make_bundle()
     first, second = (score(folder, "attention", episodes=2, max_cycles=10, seed=seed) for seed in (0, 1))
@@ -106,6 +107,7 @@ def test_what_an_entry_says(make_bundle: MakeBundle) -> None:
     assert entry.provenance.packages["torch"] == version("torch")
 
 
+@pytest.mark.slow
 def test_every_entry_carries_the_controls_on_the_same_states(make_bundle: MakeBundle) -> None:
     folder = make_bundle()
     entry, ones = (score(folder, name, episodes=2, max_cycles=9) for name in ("attention", "all-ones"))

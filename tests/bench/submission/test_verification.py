@@ -135,6 +135,7 @@ def swapped(files: Mapping[str, bytes], entry: Entry, tmp_path: Path) -> tuple[d
     return {**files, **changed}, tampered
 
 
+@pytest.mark.slow
 def test_a_swapped_policy_is_found(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack, tmp_path: Path
 ) -> None:

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 import torch
 from torch import Tensor
 
-AGENTS_AT_ONCE = 8192  # rows of the decoder: 2730 timesteps at N = 3, 1024 at N = 8
-EDGES_AT_ONCE = 2**16  # entries of the mask, what bounds large teams: 1024 timesteps at N = 8, 16 at N = 64
+AGENTS_AT_ONCE = 2048  # rows of the decoder, whose activations stay in the cache: 682 timesteps at N = 3
+EDGES_AT_ONCE = 2**16  # entries of the mask, what bounds large teams: 16 timesteps at N = 64
 
 
 def chunks(n_steps: int, n_agents: int, *, steps_at_once: int | None = None) -> Iterator[slice]:

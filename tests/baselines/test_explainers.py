@@ -189,7 +189,8 @@ def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer, r
     policy, observations = small_policy(6, 6, residual=residual), random_observations(4, 3, 6)
     fast = run_explainer(explainer, policy, observations, 3)
     generic = run_explainer(explainer, ModulePolicy(Opened(policy), 6), observations, 3)
-    torch.testing.assert_close(fast, generic, rtol=0, atol=1e-5)
+    # Small changes of actions, divided by the largest of a row, show float32's rounding.
+    torch.testing.assert_close(fast, generic, rtol=0, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -27,11 +27,12 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import Tensor
 
-from xmarl_baselines.action_change import action_change
 from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
+
+EPS = 1e-15  # PyG's, inside logarithms
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,6 @@ def random_logits(n_agents: int, seeds: list[int]) -> Tensor:
     return (torch.stack(draws) * scale).view(len(seeds), n_agents, n_agents)
 
 
-@torch.no_grad()
 def optimise_mask(
     policy: Policy, observations: Tensor, logits: Tensor, settings: GNNExplainerSettings
 ) -> Tensor:
@@ -59,23 +59,24 @@ def optimise_mask(
 
     `policy` is not touched, but its parameters should not require gradients: they would be computed.
     """
-    change = action_change(policy, observations)
-    terms = change.target[0].numel()  # of the mean
-    w = logits.clone()
+    with torch.no_grad():
+        prepared = policy.prepare(observations)
+        target = policy.decode(prepared).action
+    w = logits.clone().requires_grad_()
     optimizer = torch.optim.Adam([w], lr=settings.lr, fused=True)
-    size, entropy = torch.zeros(()), torch.zeros(())  # weights of the penalties, once H is known
+    counted = torch.zeros_like(logits)  # H, once it is known
+    size = torch.ones(())  # of H
     for epoch in range(settings.epochs):
         m = w.sigmoid()
-        _, gradient = change.with_gradient(m)
-        # d entropy / dm is log(1 - m) - log(m), which is -w.
-        gradient = gradient.div_(terms).add_(size).addcmul_(entropy, w, value=-1)
-        w.grad = gradient.mul_(m).mul_(1 - m)
+        error = (policy.decode(prepared, m).action - target).square().mean(dim=(-2, -1))
+        entropy = -m * torch.log(m + EPS) - (1 - m) * torch.log(1 - m + EPS)
+        penalty = counted * (settings.edge_size * m + settings.edge_ent / size * entropy)
+        (w.grad,) = torch.autograd.grad(error.sum() + penalty.sum(), [w])
         if epoch == 0:
-            counted = (w.grad != 0).to(w.dtype)  # H
-            size = settings.edge_size * counted
-            entropy = settings.edge_ent * counted / counted.sum(dim=(-2, -1), keepdim=True).clamp_min(1)
+            counted = (w.grad != 0).to(w.dtype)
+            size = counted.sum(dim=(-2, -1), keepdim=True).clamp_min(1)
         optimizer.step()
-    return w.sigmoid() * counted
+    return w.detach().sigmoid() * counted
 
 
 def gnn_explainer_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:

@@ -37,8 +37,8 @@ from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
-from xmarl_baselines.action_change import action_change
 from xmarl_baselines.batching import by_chunks, timestep_seeds
 from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
@@ -73,51 +73,51 @@ def uniform_noise(epochs: int, n_agents: int, seeds: list[int]) -> Tensor:
     return torch.stack(draws, dim=1)
 
 
-@torch.no_grad()
 def optimise_gates(
     policy: Policy, observations: Tensor, noise: Tensor, settings: GraphMaskSettings
 ) -> Tensor:
-    """One chunk: (S, N, D) observations, (epochs, S, N, N) uniform noise -> masks (S, N, N) of 0 and 1."""
-    change = action_change(policy, observations)
-    # Where removing everything changes nothing, D is 0 and every gate closes.
-    largest = change(torch.zeros_like(noise[0])).clamp_min(torch.finfo(noise.dtype).tiny)
-    w = torch.zeros_like(noise[0])
-    multiplier = torch.full_like(largest, settings.init_lambda)
+    """One chunk: (S, N, D) observations, (epochs, S, N, N) uniform noise -> masks (S, N, N) of 0 and 1.
+
+    `policy` is not touched, but its parameters should not require gradients: they would be computed.
+    """
+
+    def change(mask: Tensor) -> Tensor:
+        """(S, N, N) -> (S,): ||F(1) - F(mask)||^2."""
+        return (policy.decode(prepared, mask).action - target).square().sum(dim=(-2, -1))
+
+    with torch.no_grad():
+        prepared = policy.prepare(observations)
+        target = policy.decode(prepared).action
+        # Where removing everything changes nothing, D is 0 and every gate closes.
+        largest = change(torch.zeros_like(noise[0])).clamp_min(torch.finfo(noise.dtype).tiny)
+    w = torch.zeros_like(noise[0], requires_grad=True)
+    multiplier = torch.full_like(largest, settings.init_lambda, requires_grad=True)
     gates = torch.optim.Adam([w], lr=settings.lr, fused=True)
     ascent = torch.optim.RMSprop([multiplier], lr=settings.lambda_lr, centered=True, maximize=True)
-    kept = torch.ones_like(w)
+    kept = torch.ones_like(noise[0])
     for step, u in enumerate(noise, start=1):
         a = w + settings.location
-        z, slope = _straight_through(a, u)
-        moved, gradient = change.with_gradient(z)
-        violation = torch.relu(moved / largest - settings.allowance)
-        price = torch.nn.functional.softplus(multiplier) * (violation > 0) / largest
-        is_open = torch.sigmoid(a - BETA * math.log(-GAMMA / ZETA))
-        # Of the loss above: the derivatives by hand.
-        w.grad = settings.scaling / w[0].numel() * is_open * (1 - is_open)
-        w.grad += gradient * slope * price[:, None, None]
-        multiplier.grad = torch.sigmoid(multiplier) * violation
+        z = _hard(torch.sigmoid((torch.logit(u) + a) / BETA))
+        is_open = torch.sigmoid(a - BETA * math.log(-GAMMA / ZETA)).mean(dim=(-2, -1))
+        violation = torch.relu(change(z) / largest - settings.allowance)
+        loss = settings.scaling * is_open + F.softplus(multiplier) * violation
+        w.grad, multiplier.grad = torch.autograd.grad(loss.sum(), [w, multiplier])
         gates.step()
         ascent.step()
-        multiplier.clamp_(MIN_LAMBDA, MAX_LAMBDA)
-        if step % settings.read_every == 0:
-            mask = (_stretch(torch.sigmoid(w + settings.location)) > THRESHOLD).to(w.dtype)
-            fewer = mask.sum(dim=(-2, -1)) < kept.sum(dim=(-2, -1))
-            better = fewer & (change(mask) / largest <= settings.allowance)
-            kept = torch.where(better[:, None, None], mask, kept)
+        with torch.no_grad():
+            multiplier.clamp_(MIN_LAMBDA, MAX_LAMBDA)
+            if step % settings.read_every == 0:
+                mask = _hard(torch.sigmoid(w + settings.location))
+                fewer = mask.sum(dim=(-2, -1)) < kept.sum(dim=(-2, -1))
+                better = fewer & (change(mask) / largest <= settings.allowance)
+                kept = torch.where(better[:, None, None], mask, kept)
     return kept
 
 
-def _stretch(s: Tensor) -> Tensor:
-    return s * (ZETA - GAMMA) + GAMMA
-
-
-def _straight_through(a: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """Logits and uniform noise -> gates of 0 and 1, and the derivative of what was thresholded."""
-    s = torch.sigmoid((torch.logit(u) + a) / BETA)
-    stretched = _stretch(s)
-    inside = (stretched >= 0) & (stretched <= 1)
-    return (stretched > THRESHOLD).to(a.dtype), inside * s * (1 - s) * ((ZETA - GAMMA) / BETA)
+def _hard(s: Tensor) -> Tensor:
+    """Gates in (0, 1) -> stretched, then 0 or 1, with the gradient of the stretched gate clipped to [0, 1]."""
+    soft = (s * (ZETA - GAMMA) + GAMMA).clamp(0, 1)
+    return (soft > THRESHOLD).to(s.dtype) + (soft - soft.detach())
 
 
 def graphmask_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:

@@ -1,4 +1,4 @@
-"""A private copy of a policy whose weights are constants: the same function, differentiated by masks alone."""
+"""A private copy of a policy with constant weights: the same function, differentiated by masks alone."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def optimise_gates(
 
 
 def _hard(s: Tensor) -> Tensor:
-    """Gates in (0, 1) -> stretched, then 0 or 1, with the gradient of the stretched gate clipped to [0, 1]."""
+    """Gates in (0, 1) -> 0 or 1, with the gradient of the stretched gate clipped to [0, 1]."""
     soft = (s * (ZETA - GAMMA) + GAMMA).clamp(0, 1)
     return (soft > THRESHOLD).to(s.dtype) + (soft - soft.detach())
 

@@ -31,7 +31,7 @@ Record = dict[str, Any]  # frames, and the measures at that frame
 
 
 def plain_actor(model: MAPPO) -> GraphPolicy:
-    """The actor without the trainer's faster layers: what is saved and scored."""
+    """A copy of the actor in evaluation mode: what is saved and scored."""
     actor = GraphPolicy(model.policy.actor.architecture)
     actor.load_state_dict(model.policy.actor.state_dict())
     return actor.eval()

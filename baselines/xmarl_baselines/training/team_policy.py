@@ -16,7 +16,6 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 from torch.nn import functional as F
 
-from xmarl_baselines.training.fast_layers import speed_up
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
 
 SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 cannot tell them apart beyond
@@ -63,7 +62,6 @@ class TeamPolicy(ActorCriticPolicy):
         # Through JSON: SB3 saves these arguments as such, and tuples come back as lists.
         record = json.dumps({**self._architecture, "obs_dim": obs_dim})
         self.actor = GraphPolicy(Architecture.model_validate_json(record))
-        speed_up(self.actor)
         widths = (n_agents * obs_dim, *self._critic)
         layers: list[nn.Module] = []
         for n_in, n_out in pairwise(widths):

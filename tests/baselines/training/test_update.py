@@ -9,8 +9,6 @@ import pytest
 import torch
 from torch.distributions import Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
-from xmarl_baselines.training.families import FAMILIES, Family, architecture
-from xmarl_baselines.training.fast_layers import speed_up
 from xmarl_baselines.training.mappo import MAPPO
 from xmarl_baselines.training.model_selection import plain_actor
 from xmarl_baselines.training.team_policy import log_prob
@@ -19,7 +17,7 @@ from xmarl_baselines.training.trainer import Run, build
 from xmarl_envs import make_task
 
 from tests.baselines.training.small_runs import small
-from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
+from xmarl_bench.policy import ActionDistribution
 
 
 def test_sb3_saves_and_loads_the_learner(tmp_path: Path) -> None:
@@ -106,21 +104,3 @@ def test_truncated_teams_are_bootstrapped_and_ended_ones_are_not() -> None:
     rewards = model.rollout_buffer.rewards
     assert (np.abs(rewards) > 40).all(axis=-1).sum() == 2  # each team was truncated once, worth 0.5 * 100
     assert (np.abs(rewards) < 10).all(axis=-1).sum() == 4
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_fast_layers_compute_the_same(family: Family) -> None:
-    torch.manual_seed(0)
-    record = architecture("blind_navigation_v0", family)
-    plain = GraphPolicy(Architecture.model_validate({**record, "obs_dim": 6}))
-    fast = GraphPolicy(plain.architecture)
-    fast.load_state_dict(plain.state_dict())
-    speed_up(fast)
-    assert set(fast.state_dict()) == set(plain.state_dict())
-    x = torch.randn(50, 3, 6)
-    for policy in (plain, fast):
-        policy.distribution(x).loc.square().mean().backward()
-    torch.testing.assert_close(fast.distribution(x).loc, plain.distribution(x).loc, atol=1e-5, rtol=1e-5)
-    for mine, theirs in zip(fast.parameters(), plain.parameters(), strict=True):
-        if theirs.grad is not None and mine.grad is not None:
-            assert (mine.grad - theirs.grad).norm() <= 0.02 * theirs.grad.norm() + 1e-7  # bfloat16 gradients

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 from torch_geometric.explain.algorithm.utils import clear_masks, set_masks
-from torch_geometric.nn import MessagePassing
+from torch_geometric.nn import MessagePassing, TransformerConv
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import DistributionKind, ScaleKind
@@ -109,18 +109,27 @@ class ModulePolicy(Policy):
         there = there if adjacency is None else adjacency
         found: list[Tensor] = []
 
-        def keep(layer: MessagePassing, inputs: tuple[dict[str, Any]], output: Tensor) -> None:
+        def keep(alpha: Tensor) -> None:
+            spread = alpha.new_zeros(there.shape)
+            spread[there] = alpha.reshape(len(alpha), -1).mean(dim=-1)
+            found.append(spread)
+
+        def read(layer: MessagePassing, inputs: tuple[dict[str, Any]], output: Tensor) -> None:
             alpha = inputs[0].get("alpha")
-            if not isinstance(alpha, Tensor):
-                alpha = getattr(layer, "_alpha", None)  # where TransformerConv keeps it
-            if alpha is not None:
-                spread = alpha.new_zeros(there.shape)
-                spread[there] = alpha.reshape(len(alpha), -1).mean(dim=-1)
-                found.append(spread)
+            if isinstance(alpha, Tensor):
+                keep(alpha)
+
+        def ask(layer: TransformerConv, args: Any, kwargs: dict[str, Any], output: Any) -> None:
+            """Computes alpha inside its messages, so it is called once more, past this hook."""
+            _, (_, alpha) = layer.forward(*args, **{**kwargs, "return_attention_weights": True})
+            keep(alpha)
 
         with ExitStack() as hooks:
             for layer in _layers(self.network):
-                hooks.callback(layer.register_message_forward_hook(keep).remove)
+                if isinstance(layer, TransformerConv):
+                    hooks.callback(layer.register_forward_hook(ask, with_kwargs=True).remove)
+                else:
+                    hooks.callback(layer.register_message_forward_hook(read).remove)
             self.decode(self.prepare(observation))
         if not found:
             raise InputError(

@@ -14,7 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import by_chunks
+from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 

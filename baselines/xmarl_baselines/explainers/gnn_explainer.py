@@ -27,8 +27,8 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import by_chunks, timestep_seeds
-from xmarl_baselines.frozen_policy import frozen
+from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
+from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 

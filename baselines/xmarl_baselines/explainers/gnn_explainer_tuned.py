@@ -16,9 +16,9 @@ from dataclasses import asdict
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import by_chunks
+from xmarl_baselines.explainers.batching import by_chunks
+from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_baselines.explainers.gnn_explainer import GNNExplainerSettings, optimise_mask
-from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 

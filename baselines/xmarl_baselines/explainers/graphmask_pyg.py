@@ -35,8 +35,8 @@ from torch.nn import functional as F
 from torch_geometric.explain import GraphMaskExplainer
 from torch_geometric.nn import MessagePassing
 
-from xmarl_baselines.batching import by_chunks, timestep_seeds
-from xmarl_baselines.frozen_policy import frozen
+from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
+from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.pyg import PygExplain

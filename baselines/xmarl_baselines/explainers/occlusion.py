@@ -12,8 +12,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from xmarl_baselines.batching import by_chunks
-from xmarl_baselines.frozen_policy import frozen
+from xmarl_baselines.explainers.batching import by_chunks
+from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.effect import share_of_largest
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy

@@ -27,9 +27,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xmarl_baselines.batching import by_chunks, timestep_seeds
+from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
+from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_baselines.explainers.gradient import NORMALISER
-from xmarl_baselines.frozen_policy import frozen
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.oracle import change_table, why_no_oracle

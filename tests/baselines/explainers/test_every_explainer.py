@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch_geometric.explain import AttentionExplainer, GraphMaskExplainer, PGExplainer
-from xmarl_baselines import batching
+from xmarl_baselines.explainers import batching
 from xmarl_baselines.explainers.attention import attention
 from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
 from xmarl_baselines.explainers.graphmask_pyg import graphmask_pyg

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from torch_geometric.explain import GNNExplainer
-from xmarl_baselines.batching import timestep_seeds
+from xmarl_baselines.explainers.batching import timestep_seeds
 from xmarl_baselines.explainers.gnn_explainer import (
     SETTINGS,
     GNNExplainerSettings,

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 from torch_geometric.explain import GraphMaskExplainer
-from xmarl_baselines.batching import timestep_seeds
+from xmarl_baselines.explainers.batching import timestep_seeds
+from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_baselines.explainers.graphmask import (
     BETA,
     GAMMA,
@@ -29,7 +30,6 @@ from xmarl_baselines.explainers.graphmask_pyg import (
     graphmask_pyg,
     pyg_algorithm,
 )
-from xmarl_baselines.frozen_policy import frozen
 
 from tests.baselines.reference import TRAINED, by_pyg, trained
 from tests.helpers.policies import random_observations, small_policy

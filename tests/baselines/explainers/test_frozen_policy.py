@@ -7,7 +7,7 @@ import copy
 import pytest
 import torch
 from torch import Tensor, nn
-from xmarl_baselines.frozen_policy import frozen
+from xmarl_baselines.explainers.frozen_policy import frozen
 
 from tests.baselines.reference import TRAINED, trained
 from tests.helpers.deep_policies import two_layers

@@ -41,7 +41,7 @@ class Performance:
 
     @property
     def messages_help(self) -> bool | None:
-        """Whether success or reward is higher with messages, by an interval that excludes 0; None: unknown."""
+        """Whether success or reward is higher with messages, by an interval that excludes 0."""
         return any(gain["low"] > 0.0 for gain in self.messages_gain.values()) if self.messages_gain else None
 
     def record(self) -> dict[str, Any]:

@@ -43,9 +43,9 @@ def select_policies(
 
     `all` policies are those trained for one of the tasks and team sizes asked for; those that bring code are
     among them with `trust_code` only. `finished` are these but for checkpoints along training, the name of a
-    family those of the finished that belong to it, and `default` the best seed of each cell, of DEFAULT_FAMILY
-    where the cell has one. A policy asked for by name, bundle or module:factory runs with every team size asked for,
-    or with its own for `all`.
+    family those of the finished that belong to it, and `default` the best seed of each cell, of
+    DEFAULT_FAMILY where the cell has one. A policy asked for by name, bundle or module:factory runs with
+    every team size asked for, or with its own for `all`.
     """
     sizes = _sizes(agents)
     for task in tasks:

@@ -31,8 +31,8 @@ def _replace_tanh(layers: nn.Sequential) -> None:
     for k in range(1, len(layers) - 1):
         before, tanh, after = layers[k - 1], layers[k], layers[k + 1]
         if type(before) is nn.Linear and type(tanh) is nn.Tanh and type(after) is nn.Linear:
-            before.weight *= 2
-            before.bias *= 2
-            after.bias -= after.weight.sum(dim=1)
-            after.weight *= 2
+            before.weight.mul_(2)
+            before.bias.mul_(2)
+            after.bias.sub_(after.weight.sum(dim=1))
+            after.weight.mul_(2)
             layers[k] = nn.Sigmoid()

@@ -32,8 +32,6 @@ from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 
-EPS = 1e-15  # PyG's, inside logarithms
-
 
 @dataclass(frozen=True)
 class GNNExplainerSettings:
@@ -62,21 +60,21 @@ def optimise_mask(
     with torch.no_grad():
         prepared = policy.prepare(observations)
         target = policy.decode(prepared).action
-    w = logits.clone().requires_grad_()
+    w = logits.clone()
     optimizer = torch.optim.Adam([w], lr=settings.lr, fused=True)
-    counted = torch.zeros_like(logits)  # H, once it is known
-    size = torch.ones(())  # of H
     for epoch in range(settings.epochs):
-        m = w.sigmoid()
+        m = w.sigmoid().requires_grad_()
         error = (policy.decode(prepared, m).action - target).square().mean(dim=(-2, -1))
-        entropy = -m * torch.log(m + EPS) - (1 - m) * torch.log(1 - m + EPS)
-        penalty = counted * (settings.edge_size * m + settings.edge_ent / size * entropy)
-        (w.grad,) = torch.autograd.grad(error.sum() + penalty.sum(), [w])
+        (gradient,) = torch.autograd.grad(error.sum(), [m])
+        slope = m.detach() * (1 - m.detach())  # dm / dw
         if epoch == 0:
-            counted = (w.grad != 0).to(w.dtype)
-            size = counted.sum(dim=(-2, -1), keepdim=True).clamp_min(1)
+            counted = (gradient * slope != 0).to(w.dtype)  # H
+            entropy_weight = settings.edge_ent / counted.sum(dim=(-2, -1), keepdim=True).clamp_min(1)
+        else:  # d entropy / dm is log(1 - m) - log(m), which is -w
+            gradient = gradient + counted * (settings.edge_size - entropy_weight * w)
+        w.grad = gradient * slope
         optimizer.step()
-    return w.detach().sigmoid() * counted
+    return w.sigmoid() * counted
 
 
 def gnn_explainer_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:

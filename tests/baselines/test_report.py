@@ -39,7 +39,8 @@ def test_a_cell_states_best_median_and_paper() -> None:
             "attention_entropy": 0.0,
             "family": family,
         }
-        return example.model_copy(update={**update, "performance": performance})
+        training = {**example.training, "validation": heard}
+        return example.model_copy(update={**update, "performance": performance, "training": training})
 
     other, row = cell_rows([card(0, 0.7), card(1, 0.9), card(2, 0.8), card(0, 0.6, "paper")])
     assert row["success"] == "0.90 (0.80), paper 0.99"

@@ -11,7 +11,7 @@ class InputError(ValueError):
 
 
 def unknown(kind: str, name: str, choices: Iterable[str], hint: str = "") -> InputError:
-    """The error for a name that is none of the choices, with the nearest one if there is one."""
+    """The error for a name that is not among the choices; it suggests the nearest one."""
     listed = list(choices)
     near = difflib.get_close_matches(name, listed, n=1)
     guess = f" Did you mean {near[0]!r}?" if near else ""

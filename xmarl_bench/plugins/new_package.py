@@ -1,6 +1,6 @@
 """Writes a small package that registers an explainer or a policy, and passes its own checks as it stands.
 
-What is written are the files of `xmarl_bench/templates/<kind>/`, with PACKAGE in their names.
+What is written are the files of `templates/<kind>/`, beside this module, with PACKAGE in their names.
 """
 
 from __future__ import annotations

@@ -67,8 +67,15 @@ def initial_policy(card: PolicyCard) -> GraphPolicy | LayeredPolicy:
             f"the card of {card.name!r} gives no seed of its initial weights: set initial_seed, the number "
             f"given to torch.manual_seed before the network was built."
         )
-    with seeded(card.initial_seed):
-        return build_policy(closed(card.architecture))
+    return untrained_policy(closed(card.architecture), card.initial_seed)
+
+
+def untrained_policy(
+    architecture: Architecture | LayeredArchitecture, seed: int
+) -> GraphPolicy | LayeredPolicy:
+    """The network with the weights that torch and torch_geometric draw after `torch.manual_seed(seed)`."""
+    with seeded(seed):
+        return build_policy(architecture)
 
 
 def weights_of(policy: GraphPolicy | LayeredPolicy) -> dict[str, Tensor]:

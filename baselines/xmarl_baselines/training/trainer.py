@@ -29,9 +29,9 @@ from xmarl_baselines.training.model_selection import ModelSelection, Record
 from xmarl_baselines.training.recipes import Recipe
 from xmarl_baselines.training.team_vec_env import TeamVecEnv
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy import GraphPolicy, build_policy
+from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.policy.build import untrained_policy
 from xmarl_bench.records.files import write_json
-from xmarl_bench.reproducible import seeded
 from xmarl_bench.rollout.cell import Cell
 
 VALIDATIONS = 10  # per run
@@ -165,9 +165,8 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
         device="cpu",
         seed=seed,
     )
-    # As `xmarl_bench.policy.initial_policy` makes them again from the card.
-    with seeded(run.seed):
-        initial = build_policy(model.policy.actor.architecture)
+    # Those that `xmarl_bench.policy.initial_policy` makes again from the card.
+    initial = untrained_policy(model.policy.actor.architecture, run.seed)
     model.policy.actor.load_state_dict(initial.state_dict())
     return model
 

@@ -44,6 +44,10 @@ def loaded(carried: Carried[tuple[Policy, str]]) -> tuple[int, int]:
     return process_beside_another(folder), id(policy)
 
 
+def zeros(n_bytes: int) -> bytes:
+    return bytes(n_bytes)
+
+
 def threads(number: int) -> dict[str, str | None]:
     return {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")}
 

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import socket
+import tempfile
 import threading
 import time
 import warnings
@@ -20,6 +22,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.parallel.calls import kept_in
 from xmarl_bench.parallel.workers import Workers
 
 CONNECT_SECONDS = 20.0  # for a cluster to answer
@@ -70,7 +73,11 @@ def _answering(workers: Workers, *errors: type[Exception]) -> Iterator[None]:
 
 @contextmanager
 def _loky(workers: Workers) -> Iterator[Backend]:
-    """Processes of this machine, kept between calls."""
+    """Processes of this machine, kept between calls; long answers come in files.
+
+    The pipe for answers is one for all of them: were a worker killed in the middle of a long one, the main
+    process would wait for the rest of it for ever.
+    """
     from loky import get_reusable_executor
     from loky.process_executor import ShutdownExecutorError
 
@@ -85,17 +92,25 @@ def _loky(workers: Workers) -> Iterator[Backend]:
 
     def submit(function: Callable[..., Any], *args: object) -> Any:
         try:
-            return pool().submit(function, *args)
+            return pool().submit(_by_file, folder, function, *args)
         except deaths:  # in this very moment
-            return pool().submit(function, *args)
+            return pool().submit(_by_file, folder, function, *args)
 
     def kill(_: object) -> None:
         pool().shutdown(wait=True, kill_workers=True)
 
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), tempfile.TemporaryDirectory(prefix="xmarl-bench-") as folder:
         # Loky replaces a worker whose memory has grown by 300 MB, between two units: that loses nothing.
         warnings.filterwarnings("ignore", message="A worker (stopped|was restarted) while some jobs")
         yield Backend(submit, kill, deaths, n_workers)
+
+
+_folders: set[str] = set()  # of answers, that this worker has been told of
+
+
+def _by_file(folder: str, function: Callable[..., bytes], *args: object) -> object:
+    _folders.add(folder)
+    return kept_in(folder, function(*args))
 
 
 def _end_with(parent: int) -> None:
@@ -104,6 +119,8 @@ def _end_with(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(0.5)
+        for folder in _folders:
+            shutil.rmtree(folder, ignore_errors=True)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -6,11 +6,14 @@ pickled, or cannot be loaded over there, is an error of that unit alone.
 
 from __future__ import annotations
 
+import os
 import pickle
+import tempfile
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import cloudpickle
@@ -30,7 +33,8 @@ class Failure:
     raised: Exception = field(repr=False, compare=False)
 
 
-Answer = bytes | Failure  # a pickled outcome, or why the call was not sent
+Answer = bytes | Path | Failure  # a pickled outcome, the file it is in, or why there is none
+SHORT_BYTES = 2048  # with what is around it, a pipe takes it whole or not at all (PIPE_BUF)
 
 
 def attempt(compute: Callable[[], Result]) -> Result | Failure:
@@ -54,8 +58,29 @@ def send(
 
 
 def outcome(answer: Answer) -> Any:
-    """What the call returned, or its Failure."""
-    return answer if isinstance(answer, Failure) else attempt(lambda: pickle.loads(answer))
+    """What the call returned, or its Failure. Its file is removed."""
+    if isinstance(answer, Failure):
+        return answer
+    if isinstance(answer, Path):
+        pickled = answer.read_bytes()
+        answer.unlink()
+    else:
+        pickled = answer
+    return attempt(lambda: pickle.loads(pickled))
+
+
+def kept_in(folder: str, answer: bytes) -> Answer:
+    """On a worker: a long answer as a file in `folder`."""
+    if len(answer) <= SHORT_BYTES:
+        return answer
+
+    def keep() -> Path:
+        descriptor, name = tempfile.mkstemp(dir=folder)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(answer)
+        return Path(name)
+
+    return attempt(keep)
 
 
 def _answer(call: bytes) -> bytes:

@@ -112,13 +112,13 @@ RECIPES: dict[str, Recipe] = {
     ),
     "blind_passage_v0": Recipe(
         task="blind_passage_v0",
-        frames=7_200_000,
+        frames=9_600_000,
         n_envs=200,
         n_steps=150,
-        n_epochs=2,
-        batch_size=1000,
+        n_epochs=4,
+        batch_size=1500,
         learning_rate=1e-3,
-        shaping=Shaping(scale=0.05, agent_penalty=5.0, wall_penalty=1.0, through_gap=True),
+        shaping=Shaping(scale=0.05, agent_penalty=6.0, wall_penalty=1.5, through_gap=True),
         caution_growth=2.0,
     ),
     "blind_discovery_v0": Recipe(

@@ -21,6 +21,7 @@ from xmarl_baselines.explainers.attention import attention
 from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
 from xmarl_envs import TASKS, make_task
 
+from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.explain.controls import ones_mask, random_mask, self_mask
 from xmarl_bench.explain.explainer import Explain
 from xmarl_bench.metrics import table as table_of_metrics
@@ -35,7 +36,7 @@ from xmarl_bench.scoring.states import States
 HERE = Path(__file__).parent
 EPISODES = 10
 BEGIN, END = "<!-- measured:begin -->\n", "<!-- measured:end -->"
-METRICS = ("fid_delta", "budgeted_fidelity", "comm_budgeted_fidelity", "mask_mass")
+METRICS = ("fid_delta", "budgeted_fidelity", "message_fidelity", "mask_mass")
 
 
 def squeezed_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
@@ -60,9 +61,10 @@ def measure(folder: Path) -> tuple[str, dict[str, Row]]:
     rows: dict[str, list[Row]] = defaultdict(list)
     with one_thread():
         seeds = episode_seeds(0, EPISODES)
+        reference = reference_states(policy, card.task, card.n_agents)
         for episode in roll_out(make_task(card.task, card.n_agents), policy, seeds):
             observations = torch.tensor(episode.observations)
-            states = States.of(policy, observations, np.random.default_rng(episode.seed))
+            states = States.of(policy, observations, np.random.default_rng(episode.seed), reference)
             assert states.oracle_mask is not None
             masks = {
                 name: explain(policy, observations, torch.Generator().manual_seed(episode.seed))
@@ -105,7 +107,7 @@ def draw(measured: dict[str, list[dict[str, Row]]], path: Path) -> None:
         column[0].axvline(1.0, color="0.4", linewidth=0.8)
         for metric, colour, offset in (
             ("budgeted_fidelity", "#8fb3d0", -0.17),
-            ("comm_budgeted_fidelity", "#1f5d93", 0.17),
+            ("message_fidelity", "#1f5d93", 0.17),
         ):
             _bars(
                 column[1],
@@ -119,7 +121,8 @@ def draw(measured: dict[str, list[dict[str, Row]]], path: Path) -> None:
         for limit in (0.0, 1.0):
             column[1].axvline(limit, color="0.4", linewidth=0.8)
     handles = [Patch(color=colour) for colour in ("#8fb3d0", "#1f5d93")]
-    axes[1, -1].legend(handles, ["all edges", "messages alone"], fontsize=8, loc="upper right")
+    names = ["all edges", "messages, mean of four absence models"]
+    axes[1, -1].legend(handles, names, fontsize=8, loc="upper right")
     axes[0, 0].invert_yaxis()
     figure.savefig(path, dpi=130)
 

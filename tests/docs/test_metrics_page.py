@@ -6,7 +6,7 @@ import re
 import runpy
 from pathlib import Path
 
-from xmarl_bench.explain.controls import CONTROLS, INVERTED
+from xmarl_bench.explain.controls import CONTROLS, INITIAL_ATTENTION, INVERTED, NEAREST
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "metrics.md").read_text(encoding="utf-8")
@@ -19,6 +19,6 @@ def test_its_tables_are_made_of_the_table() -> None:
 
 def test_it_explains_every_control() -> None:
     named = set(re.findall(r"`([\w-]+)`", PAGE))
-    assert {*CONTROLS, INVERTED} <= named
+    assert {*CONTROLS, NEAREST, INITIAL_ATTENTION, INVERTED} <= named
     assert "(metrics.png)" in PAGE
     assert (DOCS / "metrics.png").is_file()

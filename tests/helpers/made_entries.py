@@ -25,7 +25,7 @@ from xmarl_bench.entry.schema import (
     Summary,
     make_entry,
 )  # fmt: skip
-from xmarl_bench.explain.controls import CONTROLS, INVERTED
+from xmarl_bench.explain.controls import CONTROLS, INVERTED, NEAREST
 from xmarl_bench.reproducible import derived_seed, episode_seeds
 
 SHARES = (*ExplanationRow.model_fields, *BehaviourRow.model_fields, "seed_stability", "weight_randomisation",
@@ -61,7 +61,7 @@ def made_entry(
         max_cycles=100,
         metrics=Metrics.model_validate(metrics),
         not_measured={"no_object_collision": "the task has no walls"},
-        controls={name: ControlMetrics.model_validate(shared) for name in (*CONTROLS, INVERTED)},
+        controls={name: ControlMetrics.model_validate(shared) for name in (*CONTROLS, NEAREST, INVERTED)},
         behaviour_episodes=episodes,
         episodes=rows,
     )
@@ -105,6 +105,7 @@ def _row(
     values = np.clip(level + rng.uniform(-0.1, 0.1, len(SHARES)), 0.0, 1.0).tolist()
     drawn = dict(zip(SHARES, values, strict=True))
     drawn |= {"success_rate": 0.9, "no_agent_collision": 1.0, "communication_dependence": 0.5}
+    drawn |= {"success_gain": 0.5, "reward_gain": 0.5}
     return EpisodeRow.model_validate(
         {
             **drawn,

@@ -99,7 +99,6 @@ def _compact(
         "columns": list(COLUMNS.items()),  # in order, which keys of JSON have none of
         "paper": PAPER,
         "order": board["order"],
-        "gate": board["gate"],
         "protocols": {
             key: {name: protocol[name] for name in ("id", "episodes", "timesteps", "definitions")}
             for key, protocol in board["protocols"].items()

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from xmarl_bench.board.columns import GATE, ORDER, PAPER, POLICY_METRICS
+from xmarl_bench.board.columns import ORDER, PAPER, POLICY_METRICS
 from xmarl_bench.board.gate import shut_gate
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.entry.protocol import PROTOCOL
@@ -88,7 +88,6 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
         "schema_version": SCHEMA_VERSION,
         "protocol": PROTOCOL,
         "order": ORDER,
-        "gate": GATE,
         "protocols": protocols,
         "rankings": _rankings(listed),
         "tables": [
@@ -113,7 +112,7 @@ def _policy(entry: Entry, cell: CellResult) -> Json:
         "training_seed": entry.policy.training_seed,
         "trained_n_agents": entry.policy.n_agents,
         "metrics": cell.metrics.model_dump(mode="json", include=set(POLICY_METRICS)),
-        "gate": _gate(cell.metrics),
+        "gate": shut_gate(cell.metrics),
     }
 
 
@@ -156,15 +155,6 @@ _UNRANKED: Json = {"rank": None, "rank_interval": None, "tie_group": None}
 def _shown(metrics: Metrics | ControlMetrics) -> Json:
     dumped = metrics.model_dump(mode="json")
     return {name: dumped.get(name) for name in names_of(*OF_EXPLAINERS)}
-
-
-def _gate(metrics: Metrics) -> str | None:
-    """Why the policy's rows are not ranked; None where they are."""
-    shut = shut_gate(metrics)
-    if shut is None:
-        return None
-    shown = "not a number" if shut.value is None else f"{shut.value:.3f}"
-    return f"{shut.metric.replace('_', ' ')} {shown}, under {shut.least:g}"
 
 
 def _finish(group: Group) -> None:

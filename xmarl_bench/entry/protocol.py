@@ -9,7 +9,7 @@ from typing import Final
 
 from xmarl_bench.metrics.table import FAMILIES, METRICS
 
-PROTOCOL: Final = "xmarl-2"
+PROTOCOL: Final = "xmarl-3"
 # What is checked of an explainer's sanity: the first episodes of a run, timesteps evenly spaced in each.
 SANITY_EPISODES: Final = 5
 SANITY_TIMESTEPS: Final = 20
@@ -19,6 +19,11 @@ DEFINITIONS: dict[str, str] = {
     "softmax, nothing renormalised",
     **{metric.name: metric.definition for metric in METRICS if metric.definition is not None},
     **FAMILIES,
+    "absence models": "what stands in for a message that is taken away, coefficients as they were. zero: "
+    "nothing. mean: the mean message of its sender over reference states. resample: the same sender's "
+    "message in a reference state drawn at random, 4 draws for each timestep, their effects averaged. "
+    "renormalised: nothing, and the kept coefficients sum to 1 again. Where none is named: zero",
+    "reference states": "20 evenly spaced timesteps of each of 10 episodes, environment seeds 2^30 + k",
     "rank correlation": "Spearman's, of senders within each row, pooled over rows and timesteps; on the "
     "first 5 episodes and at most 20 timesteps of each",
     "controls": "other masks on the same policy and states: all-ones, zeros, random (uniform), bernoulli "

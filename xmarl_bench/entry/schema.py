@@ -31,7 +31,7 @@ from xmarl_bench.records.field_types import (
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.records.json_lines import members, object_of
 
-SCHEMA_VERSION: Final = 3
+SCHEMA_VERSION: Final = 4
 NOT_HASHED = ("entry_id", "verification", "provenance", "cost")
 
 
@@ -77,7 +77,7 @@ class ExplainerRecord(Record):
 class Protocol(Record):
     """What was measured and on which states. Entries share a table only where this is identical."""
 
-    id: Literal["xmarl-2"] = PROTOCOL
+    id: Literal["xmarl-3"] = PROTOCOL
     episodes: Annotated[int, Field(ge=1, le=10**6)]
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**53)], ...]
     timesteps: Annotated[int, Field(ge=1)] | None  # at most so many of each episode; None is all
@@ -150,6 +150,11 @@ class PolicyRow(MetricsRow):
     """What is the policy's and no explainer's."""
 
 
+@of_metrics(_row_type, Group.GAIN)
+class GainRow(MetricsRow):
+    """What messages are worth to the team, in one episode."""
+
+
 class BudgetRow(Record):
     """FidDelta@k over one episode, k = 1 .. M - 1 of M senders; what `budgeted_fidelity` is made of."""
 
@@ -158,7 +163,7 @@ class BudgetRow(Record):
     oracle: tuple[float | None, ...] | None  # of the best k edges
 
 
-@of_metrics(_row_type, Group.SANITY, Group.POLICY, Group.TASK)
+@of_metrics(_row_type, Group.SANITY, Group.POLICY, Group.GAIN, Group.TASK)
 class EpisodeRow(ExplanationRow, BehaviourRow):
     """One episode. A metric is null where it is not a number, or where it was not measured."""
 
@@ -167,6 +172,9 @@ class EpisodeRow(ExplanationRow, BehaviourRow):
     timesteps: Annotated[int, Field(ge=1, le=10**6)]  # of which so many were explained
     budget: BudgetRow | None = None
     comm_budget: BudgetRow | None = None  # own edges always kept: M = N - 1
+    mean_budget: BudgetRow | None = None  # the same under the other absence models
+    resample_budget: BudgetRow | None = None
+    renormalised_budget: BudgetRow | None = None
 
 
 @of_metrics(_mean_type, Group.EXPLANATION)
@@ -183,7 +191,7 @@ class ControlMetrics(ExplanationMetrics, BehaviourMetrics):
     """A control on the same episodes."""
 
 
-@of_metrics(_mean_type, Group.SANITY, Group.POLICY, Group.TASK)
+@of_metrics(_mean_type, Group.SANITY, Group.POLICY, Group.GAIN, Group.TASK)
 class Metrics(ExplanationMetrics, BehaviourMetrics):
     """Every metric of a cell; null where it was not measured, see `CellResult.not_measured`."""
 
@@ -242,7 +250,7 @@ class Verification(Record):
 
 
 class Entry(Record):
-    schema_version: Literal[3] = SCHEMA_VERSION
+    schema_version: Literal[4] = SCHEMA_VERSION
     entry_id: Sha256
     submitter: Text | None
     policy: PolicyRecord

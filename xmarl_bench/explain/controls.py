@@ -1,23 +1,29 @@
 """Controls: masks to read every explainer by, scored on the same policy and states. Always available.
 
-Floors that explain nothing, and the ceiling that no binary mask passes. The mask of ones keeps everything,
-so Fid- and GEF are 0 and FidDelta is what removing all messages does: an explainer that merely keeps more is
-not better. The inverse of the explainer's own mask is a control too; being no function of the policy, it is
-made where the explainer is measured (xmarl_bench.scoring.measure).
+Floors that explain nothing or never look at the policy, and the ceiling that no binary mask passes. The mask
+of ones keeps everything, so Fid- and GEF are 0 and FidDelta is what removing all messages does: an explainer
+that merely keeps more is not better. The inverse of the explainer's own mask is a control too; being no
+function of the policy, it is made where the explainer is measured (xmarl_bench.scoring.measure).
 
 S is the number of timesteps, N agents, D observation entries.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
+
 import torch
 from torch import Tensor
+from xmarl_envs import TASKS
 
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.oracle import oracle_mask, soft_oracle_mask
-from xmarl_bench.policy import Policy
+from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.policy.build import initial_policy
 
 RANDOM, INVERTED, ORACLE, SOFT_ORACLE = "random", "inverted", "oracle", "soft-oracle"
+NEAREST, INITIAL_ATTENTION = "nearest", "initial-attention"
 
 
 def ones_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
@@ -46,6 +52,25 @@ def self_mask(policy: Policy, observations: Tensor, generator: torch.Generator) 
     return torch.eye(n_agents).repeat(n_steps, 1, 1)
 
 
+def nearest_mask(
+    policy: Policy, observations: Tensor, generator: torch.Generator, *, position: Sequence[int]
+) -> Tensor:
+    """(S, N, D) -> (S, N, N): exp(-distance in m), whatever the policy.
+
+    position: which two entries of an observation are its place.
+    """
+    place = observations[..., list(position)]
+    return torch.exp(-torch.linalg.vector_norm(place[:, :, None] - place[:, None, :], dim=-1))
+
+
+def initial_attention_mask(
+    policy: Policy, observations: Tensor, generator: torch.Generator, *, initial: Policy
+) -> Tensor:
+    """(S, N, D) -> (S, N, N): the attention of the network as it was before training."""
+    with torch.no_grad():
+        return initial.attention(observations).clone()
+
+
 def _shape(observations: Tensor) -> tuple[int, int, int]:
     n_steps, n_agents, _ = observations.shape
     return n_steps, n_agents, n_agents
@@ -70,3 +95,32 @@ CONTROLS: dict[str, Explainer] = {
         ),
     )
 }
+
+
+def controls_of(task: str, card: PolicyCard) -> tuple[Explainer, ...]:
+    """CONTROLS, and those that know where agents are and what the network was before training.
+
+    The first needs observations that say a place, the second a card that gives the seed of its weights.
+    """
+    made = list(CONTROLS.values())
+    names = TASKS[task].observation_names
+    if {"position_x", "position_y"} <= set(names):
+        position = names.index("position_x"), names.index("position_y")
+        made.append(
+            Explainer(
+                NEAREST,
+                partial(nearest_mask, position=position),
+                "agents that are near, whatever the policy: what is no better shows nothing of it",
+                control=True,
+            )
+        )
+    if card.initial_seed is not None:
+        made.append(
+            Explainer(
+                INITIAL_ATTENTION,
+                partial(initial_attention_mask, initial=initial_policy(card)),
+                "attention of the network before training: what it shows was not learned",
+                control=True,
+            )
+        )
+    return tuple(made)

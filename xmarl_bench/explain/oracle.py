@@ -64,14 +64,10 @@ def chunks(n_steps: int, n_agents: int, rows_per_agent: int) -> Iterator[slice]:
         yield slice(first, min(first + width, n_steps))
 
 
-def action_tables(
-    policy: Policy, observations: Tensor, *, renormalised: bool = False
-) -> Iterator[tuple[slice, Tensor]]:
+def action_tables(policy: Policy, observations: Tensor) -> Iterator[tuple[slice, Tensor]]:
     """(S, N, D) -> (timesteps, (R, s, N, A) actions of every binary row), a bounded stretch at a time.
 
     Entry [r, s, i] is F_i at timestep s with row i of the mask set to r, whatever the other rows are.
-    renormalised: dropped edges leave the softmax, so that the coefficients of the kept ones sum to 1 again;
-    with an empty row nothing is heard either way. For a GraphPolicy.
 
     Raises InputError where the policy or the team does not allow it, see `check_oracle`.
     """
@@ -81,13 +77,10 @@ def action_tables(
     for steps in chunks(n_steps, n_agents, len(rows)):
         prepared = policy.prepare(observations[steps])
         mask = rows.expand(-1, steps.stop - steps.start, n_agents, -1)
-        if renormalised:
-            heard = (mask * policy.attention(observations[steps])).sum(dim=-1, keepdim=True)
-            mask = torch.where(mask > 0, mask / heard, 0.0)
         yield steps, policy.decode(prepared, mask).action
 
 
-def change_table(policy: Policy, observations: Tensor, *, renormalised: bool = False) -> NDArray[np.float64]:
+def change_table(policy: Policy, observations: Tensor) -> NDArray[np.float64]:
     """(S, N, D) -> (R, S, N): d_i of every binary row, mean over action entries of |F_i(1) - F_i(row)|.
 
     Holds 8 R S N bytes: 0.5 MB for 400 timesteps at N = 5, 6.6 MB at N = 8, 33 MB at N = 10. Arguments and
@@ -96,7 +89,7 @@ def change_table(policy: Policy, observations: Tensor, *, renormalised: bool = F
     n_steps, n_agents, _ = observations.shape
     change = np.empty((2**n_agents, n_steps, n_agents))
     with torch.no_grad():
-        for steps, actions in action_tables(policy, observations, renormalised=renormalised):
+        for steps, actions in action_tables(policy, observations):
             table = actions.numpy()
             change[:, steps] = prediction_change(table[-1:], table)
     return change

@@ -9,12 +9,14 @@ from xmarl_bench.metrics.attention_distance import attention_distance
 from xmarl_bench.metrics.attention_entropy import attention_entropy
 from xmarl_bench.metrics.budgeted_fidelity import (
     budgeted_fidelity,
+    choices,
     fid_delta_at_k,
     fid_delta_table,
     mask_of_senders,
     oracle_at_k,
     other_senders,
     others_table,
+    over_absences,
     random_at_k,
     rows_within,
     top_k_rows,
@@ -25,8 +27,8 @@ from xmarl_bench.metrics.rank_correlation import rank_correlation
 from xmarl_bench.metrics.unfaithfulness import graph_explanation_unfaithfulness, kl_divergence
 
 __all__ = [
-    "Fidelity", "attention_distance", "attention_entropy", "budgeted_fidelity", "fid_delta_at_k",
+    "Fidelity", "attention_distance", "attention_entropy", "budgeted_fidelity", "choices", "fid_delta_at_k",
     "fid_delta_table", "fidelity", "graph_explanation_unfaithfulness", "kl_divergence", "mask_mass",
-    "mask_of_senders", "oracle_at_k", "other_senders", "others_table", "prediction_change", "random_at_k",
-    "rank_correlation", "rows_within", "top_k_rows",
+    "mask_of_senders", "oracle_at_k", "other_senders", "others_table", "over_absences", "prediction_change",
+    "random_at_k", "rank_correlation", "rows_within", "top_k_rows",
 ]  # fmt: skip

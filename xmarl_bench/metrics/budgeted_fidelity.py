@@ -1,7 +1,8 @@
 """Budgeted fidelity: does a mask rank the edges well, whatever values it gives them?
 
-Keep the k highest edges of each row (binary, ties broken at random), FidDelta@k of that mask, and place it
-between a random ranking (0) and the best one (1), averaged over k = 1 .. M - 1 for M senders:
+Keep the k highest edges of each row (binary; averaged over the choices among equal ones), FidDelta@k of that
+mask, and place it between a random ranking (0) and the best one (1), averaged over k = 1 .. M - 1 for M
+senders:
 
     mean over k of (FidDelta@k - random@k) / (oracle@k - random@k)
 
@@ -21,7 +22,8 @@ M = N - 1 others, and k = 1 .. N - 2. It is the same computation on `others_tabl
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -38,8 +40,54 @@ def fid_delta_table(change: Floats) -> Floats:
     return np.asarray(change[::-1] - change)
 
 
+def choices(mask: NDArray[np.floating], edges: Edges | None = None) -> Floats:
+    """(S, N, M) -> (R, S, N): how often a row is what the mask keeps among rows of as many senders.
+
+    1 for the row of the k highest senders, 0 for the others of k; where senders are equal, each way to choose
+    among them has the same share. Rows of absent senders have none.
+    """
+    value = mask.astype(np.float64)
+    allowed = _least_kept(value) >= _most_dropped(value if edges is None else np.where(edges, value, -np.inf))
+    if edges is not None:
+        allowed &= rows_within(len(allowed), edges)
+    share = np.zeros(allowed.shape)
+    for subsets in _subsets(len(allowed)):
+        ways = allowed[subsets]
+        share[subsets] = ways / np.maximum(ways.sum(axis=0), 1)
+    return share
+
+
+def fid_delta_at_k(delta: Floats, share: Floats, edges: Edges | None = None) -> Floats:
+    """(R, S, N) FidDelta of all rows, their `choices` -> (M - 1,): mean over timesteps and agents."""
+    chosen = delta * share
+    if edges is None:
+        return np.array([chosen[subsets].sum(axis=0).mean() for subsets in _subsets(len(delta))])
+    return np.array([chosen.sum(axis=0, where=subsets).mean() for subsets in _own_subsets(len(delta), edges)])
+
+
+def random_at_k(delta: Floats, edges: Edges | None = None) -> Floats:
+    """(R, S, N) -> (M - 1,): the mean over all k-subsets, what a random ranking gets in expectation.
+
+    It is what a mask gets whose edges are all equal, to the bit.
+    """
+    n_senders = len(delta).bit_length() - 1
+    return fid_delta_at_k(delta, choices(np.zeros((*delta.shape[1:], n_senders)), edges), edges)
+
+
+def oracle_at_k(delta: Floats, edges: Edges | None = None) -> Floats:
+    """(R, S, N) -> (M - 1,): the best k-subset of every receiver at every timestep."""
+    if edges is None:
+        return np.array([delta[subsets].max(axis=0).mean() for subsets in _subsets(len(delta))])
+    return np.array(
+        [
+            delta.max(axis=0, where=subsets, initial=-np.inf).mean()
+            for subsets in _own_subsets(len(delta), edges)
+        ]
+    )
+
+
 def top_k_rows(mask: NDArray[np.floating], noise: Floats, edges: Edges | None = None) -> NDArray[np.int64]:
-    """(S, N, M) -> (M - 1, S, N): the row of the k highest senders, k = 1 .. M - 1.
+    """(S, N, M) -> (M - 1, S, N): one row of the k highest senders, k = 1 .. M - 1, for teams that act on it.
 
     noise: (S, N, M), independent and uniform; decides between equal values of the mask. A row of more than
     all P senders of a receiver has bits of absent ones too, which change nothing.
@@ -61,30 +109,6 @@ def mask_of_senders(rows: NDArray[np.int64], senders: NDArray[np.bool_]) -> NDAr
     return mask
 
 
-def fid_delta_at_k(delta: Floats, rows: NDArray[np.int64]) -> Floats:
-    """(R, S, N) FidDelta of all rows, (K, S, N) the chosen -> (K,) mean over timesteps and agents."""
-    return np.asarray(np.take_along_axis(delta, rows, axis=0).mean(axis=(1, 2)))
-
-
-def random_at_k(delta: Floats, edges: Edges | None = None) -> Floats:
-    """(R, S, N) -> (M - 1,): the mean over all k-subsets, what a random ranking gets in expectation."""
-    if edges is None:
-        return np.array([delta[subsets].mean() for subsets in _subsets(len(delta))])
-    return np.array([delta.mean(axis=0, where=subsets).mean() for subsets in _own_subsets(len(delta), edges)])
-
-
-def oracle_at_k(delta: Floats, edges: Edges | None = None) -> Floats:
-    """(R, S, N) -> (M - 1,): the best k-subset of every receiver at every timestep."""
-    if edges is None:
-        return np.array([delta[subsets].max(axis=0).mean() for subsets in _subsets(len(delta))])
-    return np.array(
-        [
-            delta.max(axis=0, where=subsets, initial=-np.inf).mean()
-            for subsets in _own_subsets(len(delta), edges)
-        ]
-    )
-
-
 def budgeted_fidelity(explained: Floats, random: Floats, oracle: Floats) -> float:
     """Three arrays (K,) -> one number; 0 is a random ranking, 1 the best, NaN where there is none to find."""
     room = oracle - random
@@ -92,6 +116,12 @@ def budgeted_fidelity(explained: Floats, random: Floats, oracle: Floats) -> floa
         return float("nan")
     counted = room >= SMALLEST
     return float(((explained - random)[counted] / room[counted]).mean())
+
+
+def over_absences(values: Sequence[float | None]) -> tuple[float, float]:
+    """Budgeted fidelity under each absence model -> (mean, smallest) of those that are numbers, or NaN."""
+    measured = [value for value in values if value is not None and not math.isnan(value)]
+    return (float(np.mean(measured)), min(measured)) if measured else (math.nan, math.nan)
 
 
 def others_table(change: Floats) -> Floats:
@@ -122,6 +152,22 @@ def _own_subsets(n_rows: int, edges: Edges) -> Iterator[NDArray[np.bool_]]:
     within, size = rows_within(n_rows, edges), np.bitwise_count(np.arange(n_rows))[:, None, None]
     for k in range(1, edges.shape[-1]):
         yield within & (size == np.minimum(k, edges.sum(axis=-1)))
+
+
+def _least_kept(value: Floats) -> Floats:
+    """(S, N, M) -> (R, S, N): the smallest value that a row keeps; infinite where it keeps none."""
+    least = np.full((1, *value.shape[:-1]), np.inf)
+    for each in np.moveaxis(value, -1, 0):
+        least = np.concatenate([least, np.minimum(least, each)])
+    return least
+
+
+def _most_dropped(value: Floats) -> Floats:
+    """(S, N, M) -> (R, S, N): the largest value that a row drops; -infinite where it drops none."""
+    most = np.full((1, *value.shape[:-1]), -np.inf)
+    for each in np.moveaxis(value, -1, 0):
+        most = np.concatenate([np.maximum(most, each), most])
+    return most
 
 
 def _bits(edges: Edges) -> NDArray[np.int64]:

@@ -19,11 +19,12 @@ class Group(StrEnum):
     BEHAVIOUR = "of behaviour"  # the team, rolled out on the explanation and on the rest
     SANITY = "of an explainer's sanity"
     POLICY = "of the policy"
+    GAIN = "of what its messages are worth"
     TASK = "of the task"
 
 
 OF_EXPLAINERS: Final = (Group.EXPLANATION, Group.BEHAVIOUR, Group.SANITY)
-OF_POLICIES: Final = (Group.POLICY, Group.TASK)
+OF_POLICIES: Final = (Group.POLICY, Group.GAIN, Group.TASK)
 
 
 class Direction(StrEnum):
@@ -101,14 +102,17 @@ class Metric:
 
 
 HIGHER, LOWER = Direction.HIGHER, Direction.LOWER
-ORDER: Final = "comm_budgeted_fidelity"  # what the leaderboard is ordered by
+ORDER: Final = "message_fidelity"  # what the leaderboard is ordered by
+# Communication-only budgeted fidelity under each absence model, zero first: what the order is the mean of.
+UNDER_ABSENCES: Final = tuple(
+    f"{absence}_budgeted_fidelity" for absence in ("comm", "mean", "resample", "renormalised")
+)
 SUCCESS: Final = "success_rate"
-DEPENDENCE: Final = "communication_dependence"
+GAINS: Final = {"success_gain": "success_rate", "reward_gain": "reward"}  # of which metric
 
 FAMILIES: Final = {
     "comm_*": "the same with every agent's own edge kept in subgraph and complement alike, so that messages "
     "between agents are ranked alone, k = 1 .. N - 2",
-    "renorm_*": "the same where dropped edges leave the softmax: the coefficients kept sum to 1",
 }
 
 
@@ -127,18 +131,13 @@ def _communication(base: Metric, column: int | None = None, short: str | None = 
     )
 
 
-def _renormalised(base: Metric, column: int | None = None) -> Metric:
-    return replace(
-        base,
-        name=f"renorm_{base.name}",
-        title=f"renormalised {base.title}",
-        heading=f"renorm. {base.heading or base.title}",
-        meaning=f"{base.title}, dropped edges leave the softmax",
-        definition=None,
-        needs=(Need.TWO_AGENTS, Need.ORACLE, Need.COEFFICIENTS),
-        column=column,
-        short=None,
-    )
+def _under(absence: str, meaning: str) -> Metric:
+    """Budgeted fidelity under another absence model than zero."""
+    return Metric(
+        f"{absence}_budgeted_fidelity", f"budgeted fidelity, {absence}", meaning,
+        f"comm_budgeted_fidelity under the absence model {absence}", Group.EXPLANATION, BUDGETED, HIGHER,
+        needs=(Need.THREE_AGENTS, Need.ORACLE, Need.COEFFICIENTS), column=2,
+    )  # fmt: skip
 
 
 _FID_PLUS = Metric(
@@ -163,7 +162,7 @@ _GEF = Metric(
 _TOPK_FID_DELTA = Metric(
     "topk_fid_delta", "FidDelta@k", "FidDelta of the k highest edges of each row, mean over k",
     "FidDelta@k, mean over k = 1 .. N - 1: fid_delta of the binary mask that keeps the k highest edges of "
-    "each row, ties broken at random",
+    "each row, averaged over the choices among equal ones",
     Group.EXPLANATION, DELTA, HIGHER, "action", (Need.TWO_AGENTS,),
 )  # fmt: skip
 _BUDGETED_FIDELITY = Metric(
@@ -171,7 +170,7 @@ _BUDGETED_FIDELITY = Metric(
     "(FidDelta@k - random@k) / (oracle@k - random@k), mean over k = 1 .. N - 1; random@k is the mean over "
     "all k-subsets of a row and oracle@k the maximum; each averaged over agents and timesteps of the "
     "episode before dividing; a k whose denominator is under 0.001 is left out, null where none is left",
-    Group.EXPLANATION, BUDGETED, HIGHER, needs=(Need.TWO_AGENTS, Need.ORACLE), column=2, short="budgeted",
+    Group.EXPLANATION, BUDGETED, HIGHER, needs=(Need.TWO_AGENTS, Need.ORACLE), column=3,
 )  # fmt: skip
 
 METRICS: tuple[Metric, ...] = (
@@ -196,9 +195,24 @@ METRICS: tuple[Metric, ...] = (
     _communication(_FID_DELTA, 3),
     _communication(_GEF, 3),
     _communication(_TOPK_FID_DELTA),
-    _communication(_BUDGETED_FIDELITY, 1, "comm. budgeted"),
-    _renormalised(_TOPK_FID_DELTA),
-    _renormalised(_BUDGETED_FIDELITY, 3),
+    _communication(_BUDGETED_FIDELITY, 2),
+    _under("mean", "communication-only, the mean message in place of those dropped"),
+    _under("resample", "communication-only, messages of another moment in place of those dropped"),
+    _under("renormalised", "communication-only, dropped edges leave the softmax"),
+    Metric(
+        "message_fidelity", "message fidelity",
+        "communication-only budgeted fidelity, mean over absence models",
+        "mean of comm_budgeted_fidelity, which is under the absence model zero, and of its like under the "
+        "others, of those that can be measured",
+        Group.EXPLANATION, BUDGETED, HIGHER, needs=(Need.THREE_AGENTS, Need.ORACLE), column=1,
+        short="message fidelity",
+    ),
+    Metric(
+        "smallest_message_fidelity", "smallest message fidelity", "the smallest over absence models",
+        "the smallest of the numbers that message_fidelity is the mean of",
+        Group.EXPLANATION, BUDGETED, HIGHER, needs=(Need.THREE_AGENTS, Need.ORACLE), column=2,
+        short="smallest",
+    ),
     Metric(
         "success_on_explanation", "success on explanation", "success of a team that hears the explanation",
         "success_rate where the team communicates only along the k = floor((N - 1) / 2) highest messages of "
@@ -265,6 +279,16 @@ METRICS: tuple[Metric, ...] = (
         "attention_distance", "D(alpha)", "how far attention is from its complement",
         "D(alpha) = sum over edges of |2 alpha - 1|",
         Group.POLICY, NOT_NEGATIVE, needs=(Need.ATTENTION,), column=3,
+    ),
+    Metric(
+        "success_gain", "success gained by messages", "success with messages less success without",
+        "success_rate less that of the same episode without messages between agents, F(identity)",
+        Group.GAIN, CORRELATION, column=3, short="success gained", digits=2,
+    ),
+    Metric(
+        "reward_gain", "reward gained by messages", "reward with messages less reward without",
+        "reward less that of the same episode without messages between agents",
+        Group.GAIN, ANY, unit="reward", column=3, digits=2,
     ),
     Metric(
         "reward", "reward", "return of an agent", "mean over agents of the return",

@@ -75,15 +75,21 @@ class GraphPolicy(Policy):
         own = self.gat.bias.expand_as(message) if self.gat.res is None else self.gat.res(x) + self.gat.bias
         return Prepared(attention, message, own)
 
-    def decode(self, prepared: Prepared, mask: Tensor | None = None) -> ActionDistribution:
+    def decode(
+        self, prepared: Prepared, mask: Tensor | None = None, stand_in: Tensor | None = None
+    ) -> ActionDistribution:
         """F(m): h_i = sum_j m_ij alpha_ij W x_j + R x_i + b, nothing renormalised, then the decoder.
 
         The residual R x_i is no message, so no mask scales it; without a residual it is 0.
 
         mask: (..., S, N, N) in [0, 1], any leading axes; None is the mask of ones.
+        stand_in: (S, N, W) or (N, W), added as sum_j (1 - m_ij) alpha_ij stand_in_j; None is nothing.
         """
         weight = prepared.attention if mask is None else prepared.attention * mask
-        return self.head(weight @ prepared.message + prepared.own)
+        hidden = weight @ prepared.message + prepared.own
+        if stand_in is not None:
+            hidden = hidden + (prepared.attention - weight) @ stand_in
+        return self.head(hidden)
 
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N): the coefficients of the one head of the one layer."""

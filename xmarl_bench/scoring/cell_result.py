@@ -11,6 +11,7 @@ from xmarl_envs import TASKS
 from xmarl_bench.entry.aggregation import BEHAVIOUR, SANITY, cell_metrics, control_metrics
 from xmarl_bench.entry.schema import BehaviourRow, CellResult, ControlMetrics, Cost, EpisodeRow, SanityRow
 from xmarl_bench.explain.controls import INVERTED, RANDOM
+from xmarl_bench.metrics.table import GAINS
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode, mean_metrics
 from xmarl_bench.scoring.behaviour import Played
@@ -66,13 +67,14 @@ def cell_result(
     """Of pieces that are all there. The cost is of this cell alone."""
     sampling = request.sampling
     episodes = [each for piece in needed.episodes for each in results.episodes(piece)]
+    mute = [each for piece in needed.mute for each in results.episodes(piece)]
     shared = [each for piece in needed.shared for each in results.shared(piece)]
     explained = [each for piece in needed.explained for each in results.explained(piece)]
     played = [results.played(piece) for piece in needed.behaviour]
     reasons = not_measured(request, cell, torch.tensor(episodes[0].observations[:1]))
     rows = tuple(
         episode_row(cell, *parts)
-        for parts in zip(episodes, shared, explained, _behaviours(played, len(episodes)), strict=True)
+        for parts in zip(episodes, mute, shared, explained, _behaviours(played, len(episodes)), strict=True)
     )
     by_chance = _behaviours([results.played(piece) for piece in needed.random_behaviour], len(episodes))
     inverted = control_metrics([each.inverted for each in explained], (), sampling.seed, reasons)
@@ -124,17 +126,25 @@ def _behaviours(played: Sequence[Played], episodes: int) -> list[BehaviourRow]:
 
 
 def episode_row(
-    cell: Cell, episode: Episode, shared: Shared, explained: Explained, behaviour: BehaviourRow
+    cell: Cell,
+    episode: Episode,
+    mute: Episode,
+    shared: Shared,
+    explained: Explained,
+    behaviour: BehaviourRow,
 ) -> EpisodeRow:
-    """What an entry keeps of one episode."""
+    """What an entry keeps of one episode. mute: the same without messages."""
     parts = (explained.row, behaviour, explained.sanity or NOT_CHECKED, shared.policy)
     return EpisodeRow.model_validate(
         {
             "seed": episode.seed,
             "length": len(episode.observations),
             "timesteps": shared.timesteps,
-            "budget": explained.budget,
-            "comm_budget": explained.comm_budget,
+            **explained.budgets,
+            **{
+                name: number(getattr(episode, metric) - getattr(mute, metric))
+                for name, metric in GAINS.items()
+            },
             **{name: value for part in parts for name, value in part},
             **{
                 name: None if value is None else number(value)

@@ -35,8 +35,7 @@ class Explained:
     """What one explainer scored on one episode."""
 
     row: ExplanationRow
-    budget: BudgetRow
-    comm_budget: BudgetRow
+    budgets: dict[str, BudgetRow]  # by their names in the row
     inverted: ExplanationRow  # of 1 - mask
     sanity: SanityRow | None  # None where the unit does not ask for it
     seconds: float  # for the masks alone
@@ -68,6 +67,8 @@ class Unit:
     seed: int  # of the run
     timesteps: int | None  # at most so many; None is all
     sanity: bool  # check stability between seeds and shuffled weights too
+    reference: Tensor | None = None  # (Q, N, D): see xmarl_bench.explain.absence
+    controls: tuple[Explainer, ...] = tuple(CONTROLS.values())
     shared: bool = True  # measure the controls and the policy too
 
     def run(self) -> Measured:
@@ -77,8 +78,8 @@ class Unit:
             chosen = spaced_timesteps(len(self.episode.observations), self.timesteps)
             observations = torch.tensor(self.episode.observations[chosen])
             started = time.perf_counter()
-            rng = np.random.default_rng(derived_seed("ties", self.seed, self.episode.seed))
-            states = States.of(policy, observations, rng)
+            rng = np.random.default_rng(derived_seed("states", self.seed, self.episode.seed))
+            states = States.of(policy, observations, rng, self.reference)
             shared = self._shared(states, started) if self.shared else None
             explained = {each.name: self._explain(each, states) for each in self.explainers}
         return Measured(explained, shared)
@@ -97,7 +98,7 @@ class Unit:
         except InputError as error:
             return error
         row, budgets, inverted = states.with_inverse(mask)
-        return Explained(row, *budgets, inverted, sanity, seconds)
+        return Explained(row, budgets, inverted, sanity, seconds)
 
     def _mask(self, explainer: Explainer, states: States) -> Tensor:
         seed = derived_seed("explainer", self.seed, explainer.name, self.episode.seed)
@@ -113,11 +114,11 @@ class Unit:
         return SanityRow.model_validate(values)
 
     def _control_masks(self, states: States) -> dict[str, Tensor]:
-        """The masks of CONTROLS; the oracle's come out of the table that the states hold."""
+        """The masks of the controls; the oracle's come out of the table that the states hold."""
         masks = {
-            name: self._mask(control, states)
-            for name, control in CONTROLS.items()
-            if name not in (ORACLE, SOFT_ORACLE)
+            control.name: self._mask(control, states)
+            for control in self.controls
+            if control.name not in (ORACLE, SOFT_ORACLE)
         }
         if states.oracle_mask is not None:
             masks[ORACLE] = states.oracle_mask

@@ -1,8 +1,8 @@
 """The work that requests ask for, cut into pieces: what each is, and the key of its result in the cache.
 
-A piece is a block of consecutive episodes of a policy: played; measured without any explainer (`shared`);
-explained by one explainer; or acted out on an explainer's masks (`behaviour`). Requests that need the same
-piece share it, in one run and between runs.
+A piece is a block of consecutive episodes of a policy: played; played without messages (`mute`); measured
+without any explainer (`shared`); explained by one explainer; or acted out on an explainer's masks
+(`behaviour`). Requests that need the same piece share it, in one run and between runs.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
-from xmarl_bench.policy import Policy
+from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import BLOCK, Cell
 from xmarl_bench.scoring.behaviour import BLOCK as BEHAVIOUR_BLOCK
 from xmarl_bench.scoring.piece_keys import Keys, piece_key
 from xmarl_bench.scoring.request import Request
 
-Kind = Literal["episodes", "shared", "explained", "behaviour"]
+Kind = Literal["episodes", "mute", "shared", "explained", "behaviour"]
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class World:
     """What an episode depends on beside its number; all explainers of a policy share its episodes."""
 
     policy: Policy = field(compare=False)
-    name: str = field(compare=False)  # of the policy, for people
+    card: PolicyCard = field(compare=False)
     policy_key: str
     cell: Cell
     seed: int
@@ -35,7 +35,7 @@ class World:
     def of(cls, request: Request, cell: Cell, keys: Keys) -> World:
         policy, card, sampling = request.policy, request.card, request.sampling
         key = keys.policy(policy, card)
-        return cls(policy, card.name, key, cell, sampling.seed, sampling.max_cycles)
+        return cls(policy, card, key, cell, sampling.seed, sampling.max_cycles)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Piece:
     def __str__(self) -> str:
         block, last = self.block, self.block.first + len(self.block.seeds) - 1
         what = self.kind if self.explainer is None else f"{self.kind} by {self.explainer}"
-        return f"{block.world.name}, {what}, episodes {block.first}-{last}"
+        return f"{block.world.card.name}, {what}, episodes {block.first}-{last}"
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,7 @@ class Needs:
 
     world: World
     episodes: tuple[Piece, ...]
+    mute: tuple[Piece, ...]  # the same without messages between agents
     shared: tuple[Piece, ...]
     explained: tuple[Piece, ...]
     behaviour: tuple[Piece, ...]  # none where it is not asked for
@@ -82,6 +83,7 @@ class Needs:
 
     def __iter__(self) -> Iterator[Piece]:
         yield from self.episodes
+        yield from self.mute
         yield from self.shared
         yield from self.explained
         yield from self.behaviour
@@ -91,17 +93,20 @@ class Needs:
 def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
     world, sampling, n_played = World.of(request, cell, keys), request.sampling, request.behaviours(cell)
     name, its_key = request.explainer.name, keys.explainer(request.explainer)
-    episodes = tuple(
-        Piece("episodes", block, None, None, piece_key("episodes", *block.key()))
-        for block in blocks(world, sampling.seeds, BLOCK)
-    )
+
+    def played(kind: Kind) -> tuple[Piece, ...]:
+        return tuple(
+            Piece(kind, block, None, None, piece_key(kind, *block.key()))
+            for block in blocks(world, sampling.seeds, BLOCK)
+        )
+
+    episodes = played("episodes")
     acted = tuple(blocks(world, sampling.seeds[:n_played], BEHAVIOUR_BLOCK))
 
     def explained(kind: Kind, by: str | None, *keys: str) -> tuple[Piece, ...]:
         t = sampling.timesteps
         return tuple(
-            Piece(kind, played.block, t, by, piece_key(kind, *played.block.key(), t, *keys), played)
-            for played in episodes
+            Piece(kind, of.block, t, by, piece_key(kind, *of.block.key(), t, *keys), of) for of in episodes
         )
 
     def behaviour(by: str | None, *keys: str) -> tuple[Piece, ...]:
@@ -113,7 +118,8 @@ def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
     return Needs(
         world,
         episodes,
-        explained("shared", None),
+        played("mute"),
+        explained("shared", None, f"initial seed {request.card.initial_seed}"),
         explained("explained", name, its_key),
         behaviour(name, its_key),
         behaviour(None),

@@ -28,6 +28,7 @@ JSON: dict[Kind, TypeAdapter[Any]] = {
     "explained": TypeAdapter(list[Explained]),
     "behaviour": TypeAdapter(Played),
 }
+PLAYED: tuple[Kind, ...] = ("episodes", "mute")
 MEMORY = 64 * 2**20  # bytes, as they are in files
 
 
@@ -90,11 +91,11 @@ class Results:
 
 
 def _encode(piece: Piece, result: Any) -> bytes:
-    return _encode_episodes(result) if piece.kind == "episodes" else JSON[piece.kind].dump_json(result)
+    return _encode_episodes(result) if piece.kind in PLAYED else JSON[piece.kind].dump_json(result)
 
 
 def _decode(piece: Piece, data: bytes) -> Any:
-    if piece.kind == "episodes":
+    if piece.kind in PLAYED:
         return _decode_episodes(data, piece.block.seeds)
     return JSON[piece.kind].validate_json(data)
 

@@ -17,12 +17,14 @@ from torch import Tensor
 
 from xmarl_bench.entry.schema import BudgetRow, ExplanationRow, PolicyRow
 from xmarl_bench.errors import InputError
+from xmarl_bench.explain.absence import Absence, message_table
 from xmarl_bench.explain.oracle import best_rows, change_table, mask_of, why_no_oracle
 from xmarl_bench.metrics import (
     Fidelity,
     attention_distance,
     attention_entropy,
     budgeted_fidelity,
+    choices,
     fid_delta_at_k,
     fid_delta_table,
     fidelity,
@@ -33,15 +35,16 @@ from xmarl_bench.metrics import (
     oracle_at_k,
     other_senders,
     others_table,
+    over_absences,
     prediction_change,
     random_at_k,
     top_k_rows,
 )
+from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, existing_edges
 
 Floats = NDArray[np.float64]
 Edges = NDArray[np.bool_]
-Budgets = tuple[BudgetRow, BudgetRow]
 
 
 @dataclass(frozen=True)
@@ -58,9 +61,9 @@ class Ranking:
         delta = fid_delta_table(change)
         return cls(delta, random_at_k(delta, edges), oracle_at_k(delta, edges), edges)
 
-    def score(self, senders: NDArray[np.floating], noise: Floats) -> Ranked:
-        """(S, N, M) mask and noise -> what the mask's ranking scores."""
-        explained = fid_delta_at_k(self.delta, top_k_rows(senders, noise, self.edges))
+    def score(self, share: Floats) -> Ranked:
+        """The `choices` of a mask -> what its ranking scores."""
+        explained = fid_delta_at_k(self.delta, share, self.edges)
         budgeted = budgeted_fidelity(explained, self.random, self.oracle)
         return Ranked(explained, self.random, self.oracle, budgeted)
 
@@ -84,37 +87,60 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class States:
-    """The states of one episode that are explained, and what does not depend on the mask.
+class Rankings:
+    """What a mask's rankings score: of all edges, and of the messages under each absence model there is."""
 
-    Rankings are None where the policy or the team has no oracle; `renormalised` is for a GraphPolicy alone.
-    """
+    all_edges: Ranked
+    messages: dict[Absence, Ranked]  # zero first
+
+    def records(self) -> dict[str, BudgetRow]:
+        """The budgets of an episode's row."""
+        under = {
+            "comm" if absence is Absence.ZERO else absence.value: each
+            for absence, each in self.messages.items()
+        }
+        return {
+            "budget": self.all_edges.record(),
+            **{f"{name}_budget": each.record() for name, each in under.items()},
+        }
+
+
+@dataclass(frozen=True)
+class States:
+    """The states of one episode that are explained, and what does not depend on the mask."""
 
     policy: Policy
     observations: Tensor  # (S, N, D)
     edges: Edges | None  # (S, N, N), those of the policy's graph; None is the complete one
     prepared: Any
     full: ActionDistribution  # F(1)
-    noise: Floats  # (S, N, N): decides between equal values of a mask, the same for all explainers
-    all_edges: Ranking | None
-    communication: Ranking | None
-    renormalised: Ranking | None
+    noise: Floats  # (S, N, N): without a table it decides between equal values of a mask, the same for all
+    all_edges: Ranking | None  # None where the policy or the team has no oracle
+    messages: dict[Absence, Ranking]  # those that there are
     oracle_mask: Tensor | None  # (S, N, N)
 
     @classmethod
     @torch.no_grad()
-    def of(cls, policy: Policy, observations: Tensor, rng: np.random.Generator) -> States:
+    def of(
+        cls, policy: Policy, observations: Tensor, rng: np.random.Generator, reference: Tensor | None = None
+    ) -> States:
+        """reference: (Q, N, D), of which messages stand in for those taken away; None measures zero alone."""
         n_steps, n_agents, _ = observations.shape
         edges = existing_edges(policy, observations)
         others = None if edges is None else other_senders(edges)
-        all_edges = communication = renormalised = oracle = None
+        noise = rng.random((n_steps, n_agents, n_agents))
+        all_edges = oracle = None
+        messages: dict[Absence, Ranking] = {}
         if why_no_oracle(policy, n_agents) is None:
             change = change_table(policy, observations)
             all_edges = Ranking.of(change, edges)
-            communication = Ranking.of(others_table(change), others)
             oracle = mask_of(best_rows(change, edges), n_agents)
-            if isinstance(policy, GraphPolicy):
-                renormalised = Ranking.of(change_table(policy, observations, renormalised=True), edges)
+            messages[Absence.ZERO] = Ranking.of(others_table(change), others)
+            if isinstance(policy, GraphPolicy) and reference is not None:
+                for absence in Absence:
+                    if absence is not Absence.ZERO:
+                        table = message_table(policy, observations, absence, reference, rng)
+                        messages[absence] = Ranking.of(table, others)
         prepared = policy.prepare(observations)
         return cls(
             policy=policy,
@@ -122,40 +148,43 @@ class States:
             edges=edges,
             prepared=prepared,
             full=policy.decode(prepared),
-            noise=rng.random((n_steps, n_agents, n_agents)),
+            noise=noise,
             all_edges=all_edges,
-            communication=communication,
-            renormalised=renormalised,
+            messages=messages,
             oracle_mask=oracle,
         )
 
     @torch.no_grad()
     def mask_metrics(self, mask: Tensor) -> ExplanationRow:
         """Metrics of a mask (S, N, N), over the S timesteps together. What is not a number is None."""
-        return self._values(mask, *self._rankings(mask), *self._sides(mask))
+        return self._values(mask, self._rankings(mask), *self._sides(mask))
 
     @torch.no_grad()
-    def with_inverse(self, mask: Tensor) -> tuple[ExplanationRow, Budgets, ExplanationRow]:
-        """Metrics of a mask, its FidDelta at every budget (of all edges, of messages), metrics of 1 - mask.
+    def with_inverse(self, mask: Tensor) -> tuple[ExplanationRow, dict[str, BudgetRow], ExplanationRow]:
+        """Metrics of a mask, its FidDelta at every budget, metrics of 1 - mask.
 
         The inverse needs no forward of its own, for what one mask keeps the other drops.
         """
         kept, dropped, heard, unheard = self._sides(mask)
-        all_edges, communication = self._rankings(mask)
-        inverse = 1.0 - mask
+        rankings, inverse = self._rankings(mask), 1.0 - mask
         return (
-            self._values(mask, all_edges, communication, kept, dropped, heard, unheard),
-            (all_edges.record(), communication.record()),
-            self._values(inverse, *self._rankings(inverse), dropped, kept, unheard, heard),
+            self._values(mask, rankings, kept, dropped, heard, unheard),
+            rankings.records(),
+            self._values(inverse, self._rankings(inverse), dropped, kept, unheard, heard),
         )
 
-    def _rankings(self, mask: Tensor) -> tuple[Ranked, Ranked]:
-        """Of all edges, and of the messages between agents alone."""
-        senders, noise = mask.numpy(), self.noise
-        own = torch.eye(mask.shape[-1])
-        return (
-            self._rank(self.all_edges, senders, noise, torch.zeros_like(own)),
-            self._rank(self.communication, other_senders(senders), other_senders(noise), own),
+    def _rankings(self, mask: Tensor) -> Rankings:
+        senders, own = mask.numpy(), torch.eye(mask.shape[-1])
+        others = other_senders(senders)
+        if self.all_edges is None:  # no tables at all
+            return Rankings(
+                self._by_forwards(senders, self.noise, torch.zeros_like(own)),
+                {Absence.ZERO: self._by_forwards(others, other_senders(self.noise), own)},
+            )
+        share = choices(others, None if self.edges is None else other_senders(self.edges))
+        return Rankings(
+            self.all_edges.score(choices(senders, self.edges)),
+            {absence: ranking.score(share) for absence, ranking in self.messages.items()},
         )
 
     def _sides(self, mask: Tensor) -> Iterator[ActionDistribution]:
@@ -167,8 +196,7 @@ class States:
     def _values(
         self,
         mask: Tensor,
-        all_edges: Ranked,
-        communication: Ranked,
+        rankings: Rankings,
         kept: ActionDistribution,
         dropped: ActionDistribution,
         heard: ActionDistribution,
@@ -176,25 +204,29 @@ class States:
     ) -> ExplanationRow:
         fid, comm = self._fidelity(kept, dropped), self._fidelity(heard, unheard)
         kl, comm_kl = self._kl(kept), self._kl(heard)
-        senders = mask.numpy()
-        renorm = None if self.renormalised is None else self.renormalised.score(senders, self.noise)
+        all_edges, messages = rankings.all_edges, rankings.messages
+        budgeted = {absence: each.budgeted for absence, each in messages.items()}
+        mean, smallest = over_absences(list(budgeted.values()))
         values = {
             "fid_plus": fid.plus.mean(),
             "fid_minus": fid.minus.mean(),
             "fid_delta": fid.delta.mean(),
             "gef": graph_explanation_unfaithfulness(kl).mean(),
             "median_kl": np.median(kl),
-            "mask_mass": mask_mass(senders, self.edges).mean(),
+            "mask_mass": mask_mass(mask.numpy(), self.edges).mean(),
             "topk_fid_delta": all_edges.mean,
             "budgeted_fidelity": all_edges.budgeted,
             "comm_fid_plus": comm.plus.mean(),
             "comm_fid_minus": comm.minus.mean(),
             "comm_fid_delta": comm.delta.mean(),
             "comm_gef": graph_explanation_unfaithfulness(comm_kl).mean(),
-            "comm_topk_fid_delta": communication.mean,
-            "comm_budgeted_fidelity": communication.budgeted,
-            "renorm_topk_fid_delta": math.nan if renorm is None else renorm.mean,
-            "renorm_budgeted_fidelity": math.nan if renorm is None else renorm.budgeted,
+            "comm_topk_fid_delta": messages[Absence.ZERO].mean,
+            **{
+                name: budgeted.get(absence, math.nan)
+                for name, absence in zip(UNDER_ABSENCES, Absence, strict=True)
+            },
+            "message_fidelity": mean,
+            "smallest_message_fidelity": smallest,
         }
         return ExplanationRow.model_validate({name: number(value) for name, value in values.items()})
 
@@ -225,15 +257,11 @@ class States:
             return np.full(full.loc.shape[:-1], math.nan)
         return kl_divergence(full.loc.numpy(), full.scale.numpy(), kept.loc.numpy(), kept.scale.numpy())
 
-    def _rank(
-        self, ranking: Ranking | None, senders: NDArray[np.floating], noise: Floats, always: Tensor
-    ) -> Ranked:
-        """FidDelta@k and budgeted fidelity; without a table the first alone, by decoding each mask.
+    def _by_forwards(self, senders: NDArray[np.floating], noise: Floats, always: Tensor) -> Ranked:
+        """FidDelta@k by decoding each mask, and no budgeted fidelity.
 
         always: (N, N), edges kept in subgraph and complement.
         """
-        if ranking is not None:
-            return ranking.score(senders, noise)
         ranked = ~always.bool().numpy()
         edges = None if self.edges is None else self.edges[:, ranked].reshape(senders.shape)
         explained = []

@@ -9,8 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
+from torch import Tensor
+
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.errors import InputError
+from xmarl_bench.explain.absence import reference_states
+from xmarl_bench.explain.controls import controls_of
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.parallel.fan_out import Failure, fan_out
@@ -20,7 +24,7 @@ from xmarl_bench.scoring.behaviour import BehaviourBlock, Played
 from xmarl_bench.scoring.carried import Carried
 from xmarl_bench.scoring.measure import Explained, Measured, Unit
 from xmarl_bench.scoring.pieces import Piece, World
-from xmarl_bench.scoring.results import Result, Results
+from xmarl_bench.scoring.results import PLAYED, Result, Results
 
 Group = tuple[Piece, ...]  # of the same states, which one worker prepares once; or one block to act out
 Load = tuple[Unit, ...] | BehaviourBlock | str  # a group; a text is why it cannot be had
@@ -56,6 +60,8 @@ class Sweep:
     unsettled: set[str] = field(default_factory=set)
     errors: dict[str, str] = field(default_factory=dict)
     _ready: dict[tuple[World, str], Explainer] = field(default_factory=dict)  # fitted to the world's policy
+    _references: dict[World, Tensor | None] = field(default_factory=dict)
+    _known_controls: dict[World, tuple[Explainer, ...]] = field(default_factory=dict)
 
     def compute(self, pieces: Iterable[Piece]) -> Iterator[Piece]:
         """Each missing piece once, when it is settled: filed, or one of `errors`.
@@ -75,8 +81,8 @@ class Sweep:
         return self._compute(missing)
 
     def _compute(self, missing: dict[str, Piece]) -> Iterator[Piece]:
-        yield from self._play([piece for piece in missing.values() if piece.kind == "episodes"])
-        rest = [piece for piece in missing.values() if piece.kind != "episodes"]
+        yield from self._play([piece for piece in missing.values() if piece.kind in PLAYED])
+        rest = [piece for piece in missing.values() if piece.kind not in PLAYED]
         for piece in rest:
             if piece.source is not None and piece.source.key in self.errors:
                 yield self._settle(piece, InputError(self.errors[piece.source.key]))
@@ -103,6 +109,7 @@ class Sweep:
             world.cell.n_agents,
             piece.block.seeds,
             world.max_cycles,
+            messages=piece.kind == "episodes",
             parallel_episodes=self.parallel_episodes,
         )
         return Carried(rollout, world.policy)
@@ -185,10 +192,23 @@ class Sweep:
                 world.seed,
                 piece.timesteps,
                 sanity=k < SANITY_EPISODES,
+                reference=self._reference(world),
+                controls=self._controls(world),
                 shared=any(each.kind == "shared" for each in group),
             )
             for k, episode in enumerate(self.results.episodes(source), start=piece.block.first)
         )
+
+    def _reference(self, world: World) -> Tensor | None:
+        if world not in self._references:
+            cell = world.cell
+            self._references[world] = reference_states(world.policy, cell.task, cell.n_agents)
+        return self._references[world]
+
+    def _controls(self, world: World) -> tuple[Explainer, ...]:
+        if world not in self._known_controls:
+            self._known_controls[world] = controls_of(world.cell.task, world.card)
+        return self._known_controls[world]
 
     def _acting(self, piece: Piece) -> BehaviourBlock:
         world, name = piece.block.world, piece.explainer

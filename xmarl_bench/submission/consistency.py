@@ -26,13 +26,15 @@ from xmarl_bench.entry.schema import (
     Metrics,
     Summary,
 )
-from xmarl_bench.metrics.budgeted_fidelity import budgeted_fidelity
+from xmarl_bench.metrics.budgeted_fidelity import budgeted_fidelity, over_absences
+from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import episode_seeds
 
 # The controls, as xmarl_bench.explain.controls names them: that module waits for torch, these checks do not.
 RANDOM, INVERTED, ORACLE = "random", "inverted", "oracle"
-FLOORS = {"all-ones", "zeros", RANDOM, "bernoulli", "self", INVERTED}
+FLOORS = {"all-ones", "zeros", RANDOM, "bernoulli", "self", INVERTED, "nearest"}
+OF_KNOWN_ORIGIN = {"initial-attention"}  # where the card gives the seed of the initial weights
 CEILINGS = {ORACLE, "soft-oracle"}
 CLOSE = 1e-9  # relative to the larger of 1 and the number: sums are taken in another order
 ALIKE = 1e-5  # actions of the same mask in another batch
@@ -44,6 +46,11 @@ RANGES: dict[str, TypeAdapter[float | None]] = {
 
 # (control, metric, what it equals): 0, 1, or a metric of the explainer. Each follows from the mask alone.
 IDENTITIES: tuple[tuple[str, str, float | str], ...] = (
+    *(
+        (name, metric, 0.0) for name in ("all-ones", "zeros", "self") for metric in UNDER_ABSENCES
+    ),  # no ranking
+    ("all-ones", "budgeted_fidelity", 0.0),
+    ("zeros", "budgeted_fidelity", 0.0),
     ("all-ones", "fid_minus", 0.0),
     ("all-ones", "gef", 0.0),
     ("all-ones", "comm_fid_minus", 0.0),
@@ -125,9 +132,12 @@ def _row_findings(entry: Entry, cell: CellResult, row: EpisodeRow, k: int) -> It
     if row.attention_distance is not None and row.attention_distance > n * n + ALIKE:
         yield f"attention_distance {row.attention_distance} is more than {n * n}."
     yield from _differences(row)
-    for prefix, budget, senders in (("", row.budget, n), ("comm_", row.comm_budget, n - 1)):
-        if budget is not None:
-            yield from _budget_findings(row, prefix, budget, senders)
+    for name in type(row).model_fields:
+        budget = getattr(row, name)
+        if isinstance(budget, BudgetRow):
+            prefix = name.removesuffix("budget")
+            yield from _budget_findings(row, prefix, budget, n - 1 if prefix else n)
+    yield from _over_absences(row)
     absent = [name for name in cell.not_measured if getattr(row, name, None) is not None]
     if k >= cell.behaviour_episodes:
         absent += [name for name in BEHAVIOUR if getattr(row, name) is not None]
@@ -148,6 +158,14 @@ def _differences(row: EpisodeRow) -> Iterator[str]:
             yield f"{difference} {values[0]} is not {more} - {less}."
 
 
+def _over_absences(row: EpisodeRow) -> Iterator[str]:
+    derived = over_absences([getattr(row, name) for name in UNDER_ABSENCES])
+    for name, expected in zip(("message_fidelity", "smallest_message_fidelity"), derived, strict=True):
+        value = getattr(row, name)
+        if (value is None) is not math.isnan(expected) or (value is not None and not close(value, expected)):
+            yield f"{name} is {value}, by its absence models it is {expected}."
+
+
 def _budget_findings(row: EpisodeRow, prefix: str, budget: BudgetRow, senders: int) -> Iterator[str]:
     """The curves must have the length of the team, and give the two numbers that come of them."""
     curves = [budget.explained, budget.random, budget.oracle]
@@ -155,7 +173,8 @@ def _budget_findings(row: EpisodeRow, prefix: str, budget: BudgetRow, senders: i
         yield f"{prefix}budget is not for 1 to {senders - 1} edges."
         return
     x = [np.array(curve or (), dtype=np.float64) for curve in curves]
-    top, budgeted = getattr(row, f"{prefix}topk_fid_delta"), getattr(row, f"{prefix}budgeted_fidelity")
+    top = getattr(row, f"{prefix}topk_fid_delta", None)  # under zero alone
+    budgeted = getattr(row, f"{prefix}budgeted_fidelity")
     if top is not None and not close(top, float(x[0].mean())):
         yield f"{prefix}topk_fid_delta {top} is not the mean of {prefix}budget.explained."
     if budgeted is not None and budget.random is not None and budget.oracle is not None:
@@ -166,7 +185,7 @@ def _budget_findings(row: EpisodeRow, prefix: str, budget: BudgetRow, senders: i
 
 def _control_findings(cell: CellResult) -> Iterator[str]:
     expected = FLOORS
-    if set(cell.controls) not in (expected, expected | CEILINGS):
+    if set(cell.controls) - OF_KNOWN_ORIGIN not in (expected, expected | CEILINGS):
         yield f"controls are {shown(', '.join(sorted(cell.controls)), 200)}, expected {sorted(expected)}."
         return
     for name, control in cell.controls.items():

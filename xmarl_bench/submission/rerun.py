@@ -16,6 +16,8 @@ import numpy as np
 from xmarl_bench.entry.aggregation import BEHAVIOUR
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.entry.schema import BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
+from xmarl_bench.explain.absence import reference_states
+from xmarl_bench.explain.controls import controls_of
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.policy import Policy, PolicyCard
@@ -88,16 +90,23 @@ def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen:
     sampling = request.sampling
     explainer = fitted(request.explainer, request.policy, cell.task, cell.n_agents, sampling.seed)
     seeds = tuple(sampling.seeds[k] for k in chosen)
-    rollout = Rollout(request.policy, cell.task, cell.n_agents, seeds, sampling.max_cycles)
-    for k, episode in zip(chosen, rollout.play(), strict=True):
+    rollouts = [
+        Rollout(request.policy, cell.task, cell.n_agents, seeds, sampling.max_cycles, messages=messages)
+        for messages in (True, False)
+    ]
+    reference = reference_states(request.policy, cell.task, cell.n_agents)
+    for k, episode, mute in zip(chosen, *(each.play() for each in rollouts), strict=True):
         sanity = k < SANITY_EPISODES
-        unit = Unit(request.policy, (explainer,), episode, sampling.seed, sampling.timesteps, sanity)
+        unit = Unit(
+            request.policy, (explainer,), episode, sampling.seed, sampling.timesteps, sanity, reference,
+            controls_of(cell.task, request.card),
+        )  # fmt: skip
         measured = unit.run()
         explained = measured.explained[explainer.name]
         if not isinstance(explained, Explained):
             raise explained
         assert measured.shared is not None
-        row = episode_row(request.cells[0], episode, measured.shared, explained, NOT_PLAYED)
+        row = episode_row(request.cells[0], episode, mute, measured.shared, explained, NOT_PLAYED)
         result.episodes.append(list(_rows(f"{where}.episodes.{k}", cell.episodes[k], row, behaviour=False)))
 
 

@@ -13,7 +13,7 @@ from xmarl_bench.board import board_of, build_board
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, Record, make_entry
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.explain.controls import CONTROLS, NEAREST
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import save_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
@@ -70,22 +70,27 @@ def test_only_identical_protocols_share_a_table(entries: list[Entry]) -> None:
         assert [policy["name"] for policy in table["policies"]] == ["a", "b"]
         for policy in table["policies"]:
             rows = policy["rows"]
-            values = [row["metrics"]["comm_budgeted_fidelity"]["value"] for row in rows]
+            values = [row["metrics"]["message_fidelity"]["value"] for row in rows]
             assert values == sorted(values, reverse=True)
             assert [row["rank"] for row in rows if not row["control"]] == [1]
             assert {row["rank"] for row in rows if row["control"]} == {None}
-            assert sorted(row["explainer"] for row in rows) == sorted([*CONTROLS, "attention"])
+            assert sorted(row["explainer"] for row in rows) == sorted([*CONTROLS, NEAREST, "attention"])
             # A control that was scored by itself stands there as that entry, the others as carried along.
             assert {row["explainer"] for row in rows if row["entry_id"]} == {"random", "attention"}
-    assert board["order"]["by"] == "comm_budgeted_fidelity"
+    assert board["order"]["by"] == "message_fidelity"
 
 
 def test_policies_that_fail_or_do_not_listen_are_marked_not_ranked(entries: list[Entry]) -> None:
     entry = next(each for each in entries if each.explainer.name == "attention")
     for means, said in (
         ({"success_rate": 0.49}, "success rate 0.490, under 0.5"),
-        ({"communication_dependence": 0.019}, "communication dependence 0.019, under 0.02"),
-        ({"success_rate": 0.5, "communication_dependence": 0.02}, None),
+        (
+            {"success_rate": 0.5, "success_gain": 0.0, "reward_gain": -0.1},
+            "messages are not shown to help: success gained by messages 0.000 (0.000 to 0.000), "
+            "reward gained by messages -0.100 (-0.100 to -0.100)",
+        ),
+        ({"success_rate": 0.5, "success_gain": 0.0, "reward_gain": 0.1}, None),
+        ({"success_rate": 0.5, "success_gain": 0.1, "reward_gain": -0.1}, None),
     ):
         board = board_of([("x.json", passed(entry, **means))])
         (policy,) = board["tables"][0]["policies"]

@@ -91,14 +91,14 @@ def test_the_csv_holds_the_numbers_of_the_json(board: Path) -> None:
         for policy in table["policies"]
         for row in policy["rows"]
     ]
-    assert len(lines) == len(listed) == 2 * (2 + 7)
+    assert len(lines) == len(listed) == 2 * (2 + 8)
     for line, (table, policy, row) in zip(lines, listed, strict=True):
         assert (line["task"], line["n_agents"]) == (table["task"], str(table["n_agents"]))
         assert (line["policy"], line["explainer"]) == (policy["name"], row["explainer"])
         assert line["rank"] == ("" if row["rank"] is None else str(row["rank"]))
-        order = row["metrics"]["comm_budgeted_fidelity"]
-        assert float(line["comm_budgeted_fidelity"]) == order["value"]
-        assert float(line["comm_budgeted_fidelity_high"]) == order["interval"][1]
+        order = row["metrics"]["message_fidelity"]
+        assert float(line["message_fidelity"]) == order["value"]
+        assert float(line["message_fidelity_high"]) == order["interval"][1]
         assert line["entry_id"] == (row["entry_id"] or "")
 
 

@@ -22,7 +22,7 @@ def board(entries: Sequence[Entry]) -> Json:
 
 
 def order_of(entry: Entry) -> float:
-    summary = entry.results[0].metrics.comm_budgeted_fidelity
+    summary = entry.results[0].metrics.message_fidelity
     assert summary is not None
     assert summary.value is not None
     return summary.value
@@ -183,6 +183,6 @@ def test_gated_policies_are_in_no_ranking() -> None:
 
 
 def test_a_policy_without_the_order_is_not_ranked() -> None:
-    made = board([made_entry("deep", "a", 0.5, comm_budgeted_fidelity=None)])
+    made = board([made_entry("deep", "a", 0.5, message_fidelity=None)])
     assert made["rankings"] == []
     assert all(row["rank"] is None for row in made["tables"][0]["policies"][0]["rows"])

@@ -57,7 +57,7 @@ def edited(entry: Entry, edit: Any) -> str:
         (lambda value: value["results"][0]["episodes"][0].update(gef="0.5"), "gef"),
         (lambda value: value["results"][0]["episodes"][0].update(gef=float("nan")), "holds NaN"),
         (lambda value: value["results"][0]["episodes"][0].update(gef=float("inf")), "holds Infinity"),
-        (lambda value: value.update(schema_version=1), "has schema_version 1, .* reads 3: score it again"),
+        (lambda value: value.update(schema_version=1), "has schema_version 1, .* reads 4: score it again"),
         (lambda value: value["results"][0]["episodes"][0].update(gef=0.123), "changed after it was written"),
     ],
 )
@@ -108,7 +108,8 @@ def test_aggregates_follow_from_the_rows(entry: Entry) -> None:
 
 def test_every_metric_of_a_row_is_summarised() -> None:
     assert set(EpisodeRow.model_fields) - set(Metrics.model_fields) == {
-        "seed", "length", "timesteps", "budget", "comm_budget",
+        "seed", "length", "timesteps", "budget", "comm_budget", "mean_budget", "resample_budget",
+        "renormalised_budget",
     }  # fmt: skip
 
 

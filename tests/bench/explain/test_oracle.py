@@ -94,23 +94,6 @@ def test_the_best_row_by_hand() -> None:
     assert best_rows(change).tolist() == [[1]]  # 0.6 - 0.1, against 0.2 - 0.0
 
 
-@with_and_without_residual
-def test_renormalised_rows_drop_edges_before_the_softmax(residual: bool) -> None:
-    policy, observations = small_policy(5, 4, residual=residual), random_observations(3, 4, 5)
-    change = change_table(policy, observations, renormalised=True)
-    with torch.no_grad():
-        full = policy.distribution(observations).action.numpy()
-        for kept in ([0, 2], [1], [0, 1, 3]):
-            # A team of the kept senders and receiver i alone, where i is among them, has the same softmax.
-            for i in kept:
-                others = policy.distribution(observations[:, kept]).action.numpy()[:, kept.index(i)]
-                expected = np.abs(full[:, i] - others).mean(axis=-1)
-                np.testing.assert_allclose(change[sum(1 << j for j in kept), :, i], expected, atol=ROUNDING)
-        nothing = policy.distribution(observations, torch.zeros(3, 4, 4)).action.numpy()
-    np.testing.assert_allclose(change[0], np.abs(full - nothing).mean(axis=-1), atol=ROUNDING)
-    assert change[-1].max() == 0.0
-
-
 def test_chunks_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
     policy, observations = small_policy(6, 2), random_observations(50, 4, 6)
     with torch.no_grad():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.oracle import change_table
 from xmarl_bench.metrics import (
     budgeted_fidelity,
+    choices,
     fid_delta_at_k,
     fid_delta_table,
     fidelity,
@@ -29,10 +30,9 @@ from xmarl_bench.policy import GraphPolicy
 Floats = NDArray[np.float64]
 
 
-def score_of(change: Floats, mask: NDArray[np.floating], seed: int = 0) -> float:
-    noise = np.random.default_rng(seed).random(mask.shape)
+def score_of(change: Floats, mask: NDArray[np.floating]) -> float:
     delta = fid_delta_table(change)
-    explained = fid_delta_at_k(delta, top_k_rows(mask, noise))
+    explained = fid_delta_at_k(delta, choices(mask))
     return budgeted_fidelity(explained, random_at_k(delta), oracle_at_k(delta))
 
 
@@ -53,9 +53,10 @@ def test_the_pieces_by_hand() -> None:
     np.testing.assert_allclose(delta[[1, 2, 4, 6, 5, 3], 0, 0], [0.3, -0.6, -0.6, -0.3, 0.6, 0.6], atol=1e-12)
     np.testing.assert_allclose(random_at_k(delta), [-0.3, 0.3])
     np.testing.assert_allclose(oracle_at_k(delta), [0.3, 0.6])
-    rows = top_k_rows(np.array([[[0.2, 0.9, 0.5]]]), np.zeros((1, 1, 3)))
-    assert rows.tolist() == [[[2]], [[2 + 4]]]  # sender 1, then 1 and 2
-    np.testing.assert_allclose(fid_delta_at_k(delta, rows), [-0.6, -0.3])
+    mask = np.array([[[0.2, 0.9, 0.5]]])
+    assert top_k_rows(mask, np.zeros((1, 1, 3))).tolist() == [[[2]], [[2 + 4]]]  # sender 1, then 1 and 2
+    assert choices(mask)[:, 0, 0].tolist() == [0, 0, 1, 0, 0, 0, 1, 0]
+    np.testing.assert_allclose(fid_delta_at_k(delta, choices(mask)), [-0.6, -0.3])
     # ((-0.6 + 0.3) / 0.6 + (-0.3 - 0.3) / 0.3) / 2 = (-0.5 - 2) / 2
     assert score_of(BY_HAND, np.array([[[0.2, 0.9, 0.5]]])) == pytest.approx(-1.25)
     assert score_of(BY_HAND, np.array([[[0.9, 0.2, 0.5]]])) == pytest.approx(1.0)
@@ -115,11 +116,27 @@ def test_no_monotone_change_of_a_mask_moves_it(values: list[int], seed: int, pow
 def test_a_random_ranking_scores_zero_in_expectation() -> None:
     change = changes(4, 5, n_steps=2000)
     rng = np.random.default_rng(0)
-    scores = [score_of(change, rng.random((2000, 3, 4)), seed) for seed in range(20)]
+    scores = [score_of(change, rng.random((2000, 3, 4))) for _ in range(20)]
     assert abs(np.mean(scores)) < 4 * np.std(scores) / np.sqrt(20) < 0.02
-    # A constant mask ranks nothing: its ties are broken at random.
-    constant = [score_of(change, np.ones((2000, 3, 4)), seed) for seed in range(20)]
-    assert abs(np.mean(constant)) < 4 * np.std(constant) / np.sqrt(20) < 0.02
+
+
+@given(n_senders=st.integers(2, 6), seed=st.integers(0, 10**6), level=st.floats(0.0, 1.0))
+def test_a_constant_mask_ranks_nothing_and_scores_zero(n_senders: int, seed: int, level: float) -> None:
+    assert score_of(changes(n_senders, seed), np.full((4, 3, n_senders), level)) == 0.0
+
+
+@given(values=st.lists(st.integers(0, 2), min_size=60, max_size=60), seed=st.integers(0, 10**6))
+def test_ties_are_averaged_over_all_ways_to_choose(values: list[int], seed: int) -> None:
+    """Against every order of the five senders that the mask allows."""
+    mask, delta = np.array(values).reshape(4, 3, 5) / 2, fid_delta_table(changes(5, seed))
+    explained = fid_delta_at_k(delta, choices(mask))
+    orders = np.array(list(permutations(range(5))))
+    expected = np.zeros(4)
+    for s, i in np.ndindex(4, 3):
+        allowed = orders[(np.diff(mask[s, i][orders], axis=1) <= 0).all(axis=1)]
+        rows = np.cumsum(1 << allowed, axis=1)[:, :-1]
+        expected += delta[:, s, i][rows].mean(axis=0) / 12
+    np.testing.assert_allclose(explained, expected, atol=1e-12)
 
 
 def test_the_exact_mean_is_that_of_all_subsets() -> None:
@@ -144,11 +161,8 @@ def test_the_table_agrees_with_masked_forwards(n_agents: int) -> None:
     mask = np.random.default_rng(0).random((6, n_agents, n_agents))
     eye = torch.eye(n_agents)
     full = actions(policy, observations, None)
-    everything = fid_delta_at_k(fid_delta_table(change), top_k_rows(mask, np.zeros(mask.shape)))
-    others = other_senders(mask)
-    communication = fid_delta_at_k(
-        fid_delta_table(others_table(change)), top_k_rows(others, np.zeros(others.shape))
-    )
+    everything = fid_delta_at_k(fid_delta_table(change), choices(mask))
+    communication = fid_delta_at_k(fid_delta_table(others_table(change)), choices(other_senders(mask)))
     assert (everything.shape, communication.shape) == ((n_agents - 1,), (n_agents - 2,))
     for k in range(1, n_agents):
         top = torch.tensor(mask >= np.sort(mask, axis=-1)[..., [-k]]).float()

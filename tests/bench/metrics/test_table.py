@@ -14,7 +14,7 @@ import pytest
 import xmarl_bench
 from xmarl_bench.entry.protocol import DEFINITIONS
 from xmarl_bench.entry.schema import EpisodeRow, ExplanationRow, Metrics, PolicyRecord
-from xmarl_bench.metrics.table import DEPENDENCE, METRICS, ORDER, SUCCESS, Direction, Group, by_name, names_of
+from xmarl_bench.metrics.table import GAINS, METRICS, ORDER, SUCCESS, Direction, Group, by_name, names_of
 from xmarl_bench.scoring.states import number
 
 HARNESS = Path(str(xmarl_bench.__file__)).parent
@@ -31,7 +31,6 @@ NAMING = {
     "policy/default_policies.py": "ranks policies by what they can do",
     "submission/consistency.py": "which metrics follow from which",
     "board/assets/index.js": "what the page shows first, and of a policy",
-    "board/templates/index.html.jinja": "the gate in a sentence",
 }
 PAPER = "papers/kailas2025/"  # its statements are about certain metrics
 # A field of a policy that has the name of a metric is none.
@@ -105,7 +104,7 @@ def test_names_and_headings_are_told_apart() -> None:
     for heading in ("title", "column_heading", "short"):
         headings = [value for metric in METRICS if (value := getattr(metric, heading)) is not None]
         assert len(set(headings)) == len(headings), heading
-    assert {ORDER, SUCCESS, DEPENDENCE} <= set(by_name())
+    assert {ORDER, SUCCESS, *GAINS, *GAINS.values()} <= set(by_name())
 
 
 def test_models_have_the_metrics_of_the_table_and_definitions_are_complete() -> None:
@@ -137,6 +136,6 @@ def test_a_value_out_of_its_range_is_refused() -> None:
 
 def test_a_variant_is_better_where_its_metric_is() -> None:
     for name, metric in by_name().items():
-        base = by_name().get(re.sub("^(comm|renorm)_", "", name))
+        base = by_name().get(re.sub("^comm_", "", name))
         assert base is None or (base.direction, base.range) == (metric.direction, metric.range), name
     assert by_name()[ORDER].direction is Direction.HIGHER

@@ -69,7 +69,7 @@ def test_deep_policies_are_scored_on_the_generic_path(layers: list[dict[str, Any
     assert cell.controls["all-ones"].fid_minus.value == 0.0
     one_layer = len(layers) == 1
     assert ("comm_budgeted_fidelity" in cell.not_measured) is not one_layer
-    assert "renorm_budgeted_fidelity" in cell.not_measured
+    assert "renormalised_budgeted_fidelity" in cell.not_measured
 
 
 @settings(max_examples=15)

@@ -71,15 +71,15 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
     assert score(run_cli, make_bundle(), out).code == 0
     told = run_cli("status", out)
     assert told.code == 0
-    assert f"{out}: finished, 5 of 5 pieces, 1 of 1 entries." in told.out
+    assert f"{out}: finished, 6 of 6 pieces, 1 of 1 entries." in told.out
     assert "xmarl-bench score --policy" in told.out
     (row,) = json.loads(run_cli("status", "--json").out)
     assert row["state"] == "finished"
-    assert row["pieces"] == [5, 5]
+    assert row["pieces"] == [6, 6]
     for result in (out.parent / "cache").glob("*/??/*"):
         result.unlink()
     (row,) = json.loads(run_cli("status", "--json").out)
-    assert row["pieces"] == [0, 5]
+    assert row["pieces"] == [0, 6]
     assert row["explainers"] == {"attention": [0, 2]}  # explained, and acted on
     assert_refused(run_cli("status", out / "elsewhere"), "no run is known")
 
@@ -92,13 +92,13 @@ def test_a_cache_is_seen_and_emptied(
     assert score(run_cli, make_bundle(), out).code == 0
     pieces = [path for path in cache.glob("*/??/*") if path.is_file()]
     size = sum(path.stat().st_size for path in pieces)
-    assert run_cli("cache").out == f"{cache}: 5 pieces, {size / 1e6:.1f} MB, 5 of this version.\n"
+    assert run_cli("cache").out == f"{cache}: 6 pieces, {size / 1e6:.1f} MB, 6 of this version.\n"
     (version,) = [path for path in cache.iterdir() if len(path.name) == 16]
     version.rename(cache / ("0" * 16))
     seen = json.loads(run_cli("cache", "--json").out)
-    assert seen == {"folder": str(cache), "pieces": 5, "size": size, "of_version": 0}
+    assert seen == {"folder": str(cache), "pieces": 6, "size": size, "of_version": 0}
     (cache / "mine.txt").write_text("")
-    assert run_cli("cache", "clear").out.startswith(f"{cache}: 5 pieces deleted")
+    assert run_cli("cache", "clear").out.startswith(f"{cache}: 6 pieces deleted")
     assert [path.name for path in cache.iterdir()] == ["mine.txt"]
     (out / "ab").mkdir()
     assert run_cli("cache", "clear", "--cache", out).code == 0
@@ -126,4 +126,4 @@ def test_a_module_beside_an_explainers_file_is_read_again(
         fid_plus.append(entry.results[0].metrics.fid_plus)
         pieces = json.loads(run_cli("cache", "--json").out)["pieces"]
     assert fid_plus[0] == fid_plus[2] != fid_plus[1]
-    assert pieces == 4  # played, shared, and explained in two ways
+    assert pieces == 5  # played twice, shared, and explained in two ways

@@ -129,7 +129,8 @@ def test_the_inverse_of_a_mask_is_its_complement() -> None:
 def test_budgets_are_what_budgeted_fidelity_is_made_of() -> None:
     each = measured(CONTROLS["random"]).explained["random"]
     assert isinstance(each, Explained)
-    for budget, prefix, n_senders in ((each.budget, "", 3), (each.comm_budget, "comm_", 2)):
+    assert list(each.budgets) == ["budget", "comm_budget"]  # no reference states were given
+    for budget, prefix, n_senders in zip(each.budgets.values(), ("", "comm_"), (3, 2), strict=True):
         curves = [np.array(curve, dtype=float) for _, curve in budget]
         assert [curve.shape for curve in curves] == [(n_senders - 1,)] * 3
         assert budgeted_fidelity(*curves) == getattr(each.row, f"{prefix}budgeted_fidelity")
@@ -142,7 +143,7 @@ def test_without_an_oracle_a_budget_has_the_explained_curve_alone() -> None:
     crowd = Episode(7, observations, 0.0, 0.0, 0.0, 0.0, 2)
     each = Unit(small_policy(6), (CONTROLS["random"],), crowd, 0, None, False).run().explained["random"]
     assert isinstance(each, Explained)
-    for budget, n_senders in ((each.budget, 11), (each.comm_budget, 10)):
+    for budget, n_senders in zip(each.budgets.values(), (11, 10), strict=True):
         assert budget.random is budget.oracle is None
         assert len(budget.explained) == n_senders - 1
 

@@ -15,6 +15,7 @@ from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import BehaviourMetrics, Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
@@ -112,7 +113,7 @@ def test_every_entry_carries_the_controls_on_the_same_states(make_bundle: MakeBu
     folder = make_bundle()
     entry, ones = (score(folder, name, episodes=2, max_cycles=9) for name in ("attention", "all-ones"))
     (cell,), (own,) = entry.results, ones.results
-    assert set(cell.controls) == {*CONTROLS, "inverted"}
+    assert set(cell.controls) == {*CONTROLS, "nearest", "inverted"}  # no seed of the initial weights
     for name, summary in cell.controls["all-ones"]:
         if name not in BehaviourMetrics.model_fields:
             assert summary == getattr(own.metrics, name), name
@@ -147,12 +148,13 @@ def test_what_is_not_measured_says_why(make_bundle: MakeBundle) -> None:
     assert "at every step" in reasons("random", 3, 0)["behavioural_fidelity"]
     two = reasons("random", 2, None)
     assert set(two) == {
-        "no_object_collision", "comm_topk_fid_delta", "comm_budgeted_fidelity", *behaviour
+        "no_object_collision", "comm_topk_fid_delta", *UNDER_ABSENCES, "message_fidelity",
+        "smallest_message_fidelity", *behaviour
     }  # fmt: skip
     assert "needs 3 agents" in two["comm_budgeted_fidelity"]
     many = reasons("random", 11, 0)
     assert {name for name in many if "at most 10 agents, got 11" in many[name]} == {
-        "budgeted_fidelity", "comm_budgeted_fidelity", "renorm_budgeted_fidelity", "renorm_topk_fid_delta",
+        "budgeted_fidelity", *UNDER_ABSENCES, "message_fidelity", "smallest_message_fidelity",
     }  # fmt: skip
 
 

@@ -13,12 +13,14 @@ from torch_geometric.nn import GATv2Conv
 from tests.helpers.dense_reference import reference_distribution
 from tests.helpers.policies import random_masks, random_observations, small_policy
 from xmarl_bench.explain import oracle
+from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.policy import ModulePolicy, Policy
 from xmarl_bench.scoring.states import States
 
 
 def states_of(policy: Policy, observations: Tensor) -> States:
-    return States.of(policy, observations, np.random.default_rng(0))
+    reference = random_observations(30, observations.shape[1], observations.shape[2], seed=9)
+    return States.of(policy, observations, np.random.default_rng(0), reference)
 
 
 def metrics_of(policy: Policy, observations: Tensor, mask: Tensor) -> dict[str, float]:
@@ -71,8 +73,10 @@ def test_ones_are_perfectly_faithful_and_zeros_their_complement() -> None:
     assert ones["fid_plus"] == zeros["fid_minus"] > 0.0
     assert zeros["fid_plus"] == zeros["comm_fid_plus"] == 0.0
     assert (ones["mask_mass"], zeros["mask_mass"]) == (1.0, 0.0)
-    for name in ("budgeted_fidelity", "comm_budgeted_fidelity", "renorm_budgeted_fidelity"):
-        assert ones[name] == zeros[name], name  # neither ranks anything: the same ties, the same number
+    own = metrics_of(policy, observations, torch.eye(4).repeat(20, 1, 1))
+    for name in (*UNDER_ABSENCES, "message_fidelity", "smallest_message_fidelity"):
+        assert ones[name] == zeros[name] == own[name] == 0.0, name  # none ranks the messages
+    assert ones["budgeted_fidelity"] == zeros["budgeted_fidelity"] == 0.0
 
 
 def test_the_complement_swaps_plus_and_minus() -> None:
@@ -119,7 +123,7 @@ def test_a_squeezed_ranking_gains_fid_delta_and_no_budgeted_fidelity() -> None:
     ranking = torch.round(random_masks(200, 4) * 256) / 256
     plain, squeezed = states.mask_metrics(ranking), states.mask_metrics(0.9 + ranking / 10)
     assert (squeezed.fid_delta or 0.0) > 10 * abs(plain.fid_delta or 0.0)
-    for name in ("budgeted_fidelity", "comm_budgeted_fidelity", "renorm_budgeted_fidelity", "topk_fid_delta"):
+    for name in ("budgeted_fidelity", *UNDER_ABSENCES, "topk_fid_delta"):
         assert getattr(plain, name) == getattr(squeezed, name), name
 
 
@@ -174,7 +178,7 @@ def test_policies_of_several_layers_have_no_normalised_columns() -> None:
     metrics = states.mask_metrics(random_masks(5, 3))
     missing = {name for name, value in metrics if value is None}
     assert missing == {
-        "budgeted_fidelity", "comm_budgeted_fidelity", "renorm_budgeted_fidelity", "renorm_topk_fid_delta",
+        "budgeted_fidelity", *UNDER_ABSENCES, "message_fidelity", "smallest_message_fidelity",
     }  # fmt: skip
     assert states.oracle_mask is None
     entropy = states.policy_metrics().attention_entropy

@@ -70,6 +70,9 @@ class Spy:
         return seen
 
 
+PLAYED = ["play 10", "play 10", "play 2", "play 2"]  # with and without messages, in any order
+
+
 @pytest.fixture
 def spy(monkeypatch: pytest.MonkeyPatch) -> Spy:
     return Spy(monkeypatch)
@@ -86,15 +89,15 @@ def ids(found: Sequence[Entry | Failed]) -> list[str]:
 def test_what_is_there_is_not_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
     one, cache = make_bundle(name="one"), tmp_path / "cache"
     first = outcomes(cache, [request(one)])
-    assert spy.take() == ["play 10", "play 2", "attention shared 10", "attention shared 2"]
+    assert spy.take() == [*PLAYED, "attention shared 10", "attention shared 2"]
     second = outcomes(cache, [request(one), request(one, "attention-rowmax")])
     assert spy.take() == ["attention-rowmax 10", "attention-rowmax 2"]
     assert ids(second[:1]) == ids(first)
     longer = replace(SAMPLING, episodes=22)
     outcomes(cache, [request(one, sampling=longer)])
-    assert spy.take() == ["play 10", "play 2", "attention shared 10", "attention shared 2"]
+    assert spy.take() == [*PLAYED, "attention shared 10", "attention shared 2"]
     assert ids(outcomes(cache, [request(one)], fresh=True)) == ids(first)
-    assert spy.take() == ["play 10", "play 2", "attention shared 10", "attention shared 2"]
+    assert spy.take() == [*PLAYED, "attention shared 10", "attention shared 2"]
 
 
 def test_a_damaged_result_is_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
@@ -103,13 +106,13 @@ def test_a_damaged_result_is_computed_again(make_bundle: MakeBundle, tmp_path: P
     assert isinstance(whole, Entry)
     spy.take()
     files = sorted(path for path in cache.folder.glob("*/??/*"))
-    assert len(files) == 6  # two of each kind
+    assert len(files) == 8  # two of each kind
     for path in files:
         path.write_bytes(path.read_bytes()[:-1])
     (again,) = outcomes(cache.folder, [asked])
     assert isinstance(again, Entry)
     assert again.entry_id == whole.entry_id
-    assert len(spy.take()) == 4
+    assert len(spy.take()) == 6
 
 
 def picky(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
@@ -129,7 +132,7 @@ def test_a_failure_stops_no_other_and_is_tried_again(
     requests = [request(folder, found) for folder in (four, three) for found in (PICKY, "attention")]
     first = outcomes(tmp_path / "cache", requests)
     failed, *others = first
-    assert spy.take()[4:6] == [
+    assert spy.take()[8:10] == [
         "attention shared 10",
         "attention shared 2",
     ]  # not picky's: it was tried before
@@ -150,7 +153,7 @@ def test_an_explainer_that_works_nowhere_is_refused_before_anything_is_explained
     folder = make_bundle()
     with pytest.raises(InputError, match="'nan'"):
         outcomes(tmp_path / "cache", [request(folder), request(folder, BAD["nan"])])
-    assert spy.take() == ["play 10", "play 2"]
+    assert spy.take() == PLAYED
 
 
 def test_blame_is_exact_where_a_whole_group_fails(
@@ -194,7 +197,7 @@ def test_the_record_of_a_run_says_how_far_it_is(make_bundle: MakeBundle, tmp_pat
     assert progress.explainers["attention"] == (2, 2)
     list(results)
     progress = record.progress(cache)
-    assert (progress.done, progress.pieces, progress.entries) == (12, 14, 2)
+    assert (progress.done, progress.pieces, progress.entries) == (16, 18, 2)
     assert {text.splitlines()[0] for text in progress.failures.values()} != set()
 
 
@@ -243,5 +246,5 @@ def test_episodes_are_read_from_the_cache_once_a_run(
     folder = make_bundle()
     for _ in range(2):
         outcomes(tmp_path / "cache", [request(folder, name) for name in ("attention", "occlusion")])
-        assert len(reads) == len(set(reads)) == 8  # 2 blocks: played, shared, and of two explainers
+        assert len(reads) == len(set(reads)) == 10  # 2 blocks: played twice, shared, and of two explainers
         reads.clear()

@@ -117,6 +117,8 @@ FOUND: list[tuple[str, Edit]] = [
     ("is not fid_plus - fid_minus", lambda v: rows(v)[2].update(fid_plus=rows(v)[2]["fid_plus"] + 0.01)),
     ("not the mean of", lambda v: rows(v)[2].update(comm_topk_fid_delta=0.0)),
     ("budgeted_fidelity", lambda v: rows(v)[2].update(budgeted_fidelity=0.999)),
+    ("by its absence models", lambda v: rows(v)[2].update(smallest_message_fidelity=-0.5)),
+    ("budgeted_fidelity", lambda v: rows(v)[2].update(resample_budgeted_fidelity=0.999)),
     ("budget is not for 1 to 2 edges", lambda v: swap(rows(v)[2], "budget", "comm_budget")),
     ("the rows give", lambda v: rows(v)[2].update(gef=rows(v)[2]["gef"] / 2)),
     ("the rows give", lambda v: v["results"][0]["metrics"]["gef"].update(value=0.123)),

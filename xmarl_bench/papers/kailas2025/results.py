@@ -129,7 +129,6 @@ def _policies(data: StudyData) -> list[Json]:
     known: dict[tuple[str, int], Json] = {}
     for card, entry in data.pairs:
         (cell,) = entry.results
-        shut = shut_gate(cell.metrics)
         known[card.name, cell.n_agents - card.n_agents] = {
             "name": card.name,
             "weights_sha256": card.weights_sha256,
@@ -139,7 +138,7 @@ def _policies(data: StudyData) -> list[Json]:
             "percent": percent_of(card),
             "attention_entropy": card.attention_entropy,
             "training_seed": card.training_seed,
-            "gate": None if shut is None else f"{shut.metric} under {shut.least:g}",
+            "gate": shut_gate(cell.metrics),
         }
     return [known[key] for key in sorted(known)]
 

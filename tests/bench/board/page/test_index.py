@@ -59,7 +59,7 @@ def test_every_number_stands_under_its_heading(board: Path, browse: Browse) -> N
     assert len(headings) == 4 + len(COLUMNS) + 1
     shown = dict(zip(headings, cells, strict=True))
     for heading, metric in (
-        ("comm. budgeted fidelity \u2191", "comm_budgeted_fidelity"), ("Fid+ \u2191", "fid_plus"),
+        ("message fidelity \u2191", "message_fidelity"), ("Fid+ \u2191", "fid_plus"),
         ("Fid\u2212 \u2193", "fid_minus"), ("FidDelta \u2191", "fid_delta"), ("GEF \u2193", "gef"),
         ("mask mass", "mask_mass"), ("shuffled weights \u2193", "weight_randomisation"),
     ):  # fmt: skip
@@ -115,7 +115,7 @@ def test_filters_and_the_address(board: Path, browse: Browse) -> None:
 def test_only_one_protocol_at_a_time(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html")
     assert "short" not in set(column(page, "scores", 3))
-    page.get_by_label("Protocol").select_option(label="xmarl-2, 10 episodes, every timestep")
+    page.get_by_label("Protocol").select_option(label="xmarl-3, 10 episodes, every timestep")
     assert set(column(page, "scores", 3)) == {"short"}
 
 

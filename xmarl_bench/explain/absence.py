@@ -1,0 +1,118 @@
+"""Absence models: what stands in for a message that is taken away.
+
+An explanation is judged by taking messages away, and an agent that loses one hears something else in its
+place, or nothing. No choice is the right one, so budgeted fidelity is measured under each. With coefficients
+a_ij and messages v_j = W x_j, agent i hears sum_j m_ij a_ij v_j, and in place of what the mask m takes away
+
+    zero          nothing: the paper's model, of all of its metrics;
+    mean          sum_j (1 - m_ij) a_ij (mean of v_j over reference states);
+    resample      sum_j (1 - m_ij) a_ij v'_j, v' the messages of a reference state drawn at random; the
+                  effects of DRAWS draws are averaged;
+    renormalised  nothing, and the coefficients of the messages kept sum to 1 again: the edge has left the
+                  softmax.
+
+A receiver attends as it did: its coefficients are those of what was said, not of what stands in for it.
+Reference states are those that explainers are fitted on, of episodes that no score plays.
+
+All but zero need known coefficients and messages, those of a GraphPolicy. Every agent's own edge is kept.
+S is the number of timesteps, N agents, D observation entries, W the width of a message, Q reference states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from xmarl_bench.explain.fitting import fit_states
+from xmarl_bench.explain.oracle import binary_rows, check_oracle, chunks, why_no_oracle
+from xmarl_bench.metrics import prediction_change
+from xmarl_bench.policy import GraphPolicy, Policy
+from xmarl_bench.policy.distribution import ActionDistribution
+from xmarl_bench.policy.network import Prepared
+
+DRAWS: Final = 4  # for each timestep
+
+
+class Absence(StrEnum):
+    ZERO = "zero"
+    MEAN = "mean"
+    RESAMPLE = "resample"
+    RENORMALISED = "renormalised"
+
+
+def reference_states(policy: Policy, task: str, n_agents: int) -> Tensor | None:
+    """(Q, N, D) observations whose messages stand in; None where zero alone can be measured.
+
+    One and the same whatever is scored, and whatever its sampling.
+    """
+    if not isinstance(policy, GraphPolicy) or why_no_oracle(policy, n_agents) is not None:
+        return None
+    return fit_states(policy, task, n_agents)
+
+
+def message_rows(n_agents: int) -> Tensor:
+    """(2^(N - 1), N, N) masks: row i of the r-th keeps agent i's own edge and the others in the bits of r."""
+    rows = binary_rows(n_agents - 1)
+    masks = torch.ones(len(rows), n_agents, n_agents)
+    masks[:, ~torch.eye(n_agents, dtype=torch.bool)] = rows.repeat(1, n_agents)
+    return masks
+
+
+def message_table(
+    policy: GraphPolicy,
+    observations: Tensor,
+    absence: Absence,
+    reference: Tensor,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    """(S, N, D) -> (2^(N - 1), S, N): d_i of every row over the others, under one absence model.
+
+    reference: (Q, N, D) observations whose messages stand in. The rows are those of `others_table`. Raises
+    InputError for a team whose rows are too many to try.
+    """
+    n_steps, n_agents, _ = observations.shape
+    check_oracle(policy, n_agents)
+    rows = message_rows(n_agents)[:, None]
+    change = np.empty((len(rows), n_steps, n_agents))
+    with torch.no_grad():
+        stand_ins = list(_stand_ins(policy, absence, reference, n_steps, rng))
+        for steps in chunks(n_steps, n_agents, len(rows)):
+            prepared = policy.prepare(observations[steps])
+            tables = [
+                _decode(policy, prepared, rows, absence, None if each is None else each[steps])
+                for each in stand_ins
+            ]
+            changes = [prediction_change(table[-1:], table) for table in (t.action.numpy() for t in tables)]
+            change[:, steps] = np.mean(changes, axis=0)
+    return change
+
+
+def _stand_ins(
+    policy: GraphPolicy, absence: Absence, reference: Tensor, n_steps: int, rng: np.random.Generator
+) -> Iterator[Tensor | None]:
+    """(S, N, W) for each effect that is averaged."""
+    if absence in (Absence.ZERO, Absence.RENORMALISED):
+        yield None
+        return
+    messages = policy.prepare(reference).message
+    if absence is Absence.MEAN:
+        yield messages.mean(dim=0).expand(n_steps, -1, -1)
+        return
+    for drawn in rng.integers(len(messages), size=(DRAWS, n_steps)):
+        yield messages[torch.from_numpy(drawn)]
+
+
+def _decode(
+    policy: GraphPolicy, prepared: Prepared, rows: Tensor, absence: Absence, stand_in: Tensor | None
+) -> ActionDistribution:
+    mask = rows.expand(-1, len(prepared.attention), -1, -1)
+    if absence is Absence.RENORMALISED:
+        heard = (mask * prepared.attention).sum(dim=-1, keepdim=True)
+        mask = mask / heard.clamp_min(torch.finfo(heard.dtype).tiny)
+    return policy.decode(prepared, mask, stand_in)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from xmarl_bench.board.ranking import Floats, resampled
+from xmarl_bench.board.ranking import Floats
 from xmarl_bench.entry.schema import CellResult
-from xmarl_bench.reproducible import derived_seed
+from xmarl_bench.metrics.statistics import student_interval
 
 CURVES = ("explained", "random", "oracle")
-RESAMPLES = 1000  # for a band in a picture
 
 
 def curves_of(cell: CellResult) -> dict[str, dict[str, list[list[float]]]]:
     """{"budget", "comm_budget"} -> {curve: points of k = 1 .. M - 1}.
 
-    A point of `explained` is [mean, low, high] with the 95 % bootstrap interval over episodes, of the others
+    A point of `explained` is [mean, low, high] with the 95 % interval over episodes, of the others
     [mean]. Episodes with a number missing are left out, and curves that no episode has.
     """
     return {name: _curves(cell, name) for name in ("budget", "comm_budget")}
@@ -37,8 +36,7 @@ def _with_band(episodes: Floats) -> list[list[float]]:
     """(E, K) -> K points."""
     if len(episodes) < 2:
         return _rounded(episodes.mean(axis=0))
-    samples = resampled([episodes.T], np.random.default_rng(derived_seed("budget")), RESAMPLES)
-    low, high = np.quantile(samples, [0.025, 0.975], axis=0)
+    low, high = student_interval(episodes.T)
     return [
         [*mean, *least, *most]
         for mean, least, most in zip(*map(_rounded, (episodes.mean(axis=0), low, high)), strict=True)

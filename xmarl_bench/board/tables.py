@@ -1,8 +1,8 @@
 """From entries to the board: tables per cell and protocol, ranked within a policy; rankings over policies.
 
 Entries stand in one table only where protocol and cell are identical. Within a policy rows are ranked by
-paired episodes; over policies by the mean of the order, which is normalised for each policy (0 a random
-ranking, 1 the best one), unlike the paper's metrics.
+paired episodes; over policies, which are the units then, by the mean of the order, which is normalised for
+each policy (0 a random ranking, 1 the best one), unlike the paper's metrics.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
 from xmarl_bench.explain.controls import INVERTED
 from xmarl_bench.metrics.table import OF_EXPLAINERS, names_of
 from xmarl_bench.records.files import canonical_json
-from xmarl_bench.reproducible import derived_seed
 
 SCHEMA_VERSION = 3
 Json = dict[str, Any]
@@ -171,8 +170,7 @@ def _finish(group: Group) -> None:
     if not rows:
         return
     episodes = np.stack([group.episodes[row["file"]] for row in rows])
-    seed = derived_seed("board", group.policy["weights_sha256"], *(row["entry_id"] for row in rows))
-    for row, place in zip(rows, places(_values(rows), [episodes], np.random.default_rng(seed)), strict=True):
+    for row, place in zip(rows, places(_values(rows), [episodes]), strict=True):
         row |= {"rank": place.rank, "rank_interval": place.rank_interval, "tie_group": place.tie_group}
 
 
@@ -201,8 +199,7 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
     blocks = [
         np.stack([group.episodes[rows[name][g]["file"]] for name in names]) for g, group in enumerate(groups)
     ]
-    ids = [row["entry_id"] for each in rows.values() for row in each]
-    found = places(means, blocks, np.random.default_rng(derived_seed("board", *ids)))
+    found = places(means, blocks)
     ranked = [_ranking_row(name, rows[name], False, place) for name, place in zip(names, found, strict=True)]
     partial = sorted({name for each in by_name for name in each} - set(names))
     unranked = [

@@ -18,7 +18,7 @@ from torch import Tensor
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.fitting import FIRST_FIT_SEED, fit_states
-from xmarl_bench.metrics.statistics import paired_bootstrap
+from xmarl_bench.metrics.statistics import over_units
 from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.rollout.cell import Cell, spaced_timesteps
@@ -179,7 +179,7 @@ def success(subject: PolicySubject) -> str:
 
     chance = play(task, at_random, seeds)
     ours, theirs = _rates(trained), _rates(chance)
-    difference = paired_bootstrap(ours, theirs, subject.rng)
+    difference = over_units([ours], [theirs])
     said = f"success {np.mean(ours):.2f}, random actions {np.mean(theirs):.2f}, {len(ours)} episodes"
     if difference.interval is None or difference.interval[0] <= 0:
         raise Failed(f"{said}: not more than chance, train it further.")

@@ -66,7 +66,8 @@ def _print(comparison: Comparison) -> None:
                 "explainer": each.explainer,
                 "mean": _number(each.mean.value),
                 "95 %": _interval(each.mean),
-                "episodes": each.mean.n,
+                "IQM": _number(each.iqm),
+                "units": each.mean.units,
                 "tie group": each.tie_group,
             }
             for each in comparison.standings
@@ -78,10 +79,8 @@ def _print(comparison: Comparison) -> None:
                 "pair": f"{pair.first} - {pair.second}",
                 "difference": _number(pair.difference.value),
                 "95 %": _interval(pair.difference),
-                "Mann-Whitney U": "-" if pair.test is None else f"{pair.test.u:g}",
-                "effect": "-" if pair.test is None else f"{pair.test.effect:+.2f}",
-                "p": "-" if pair.test is None else f"{pair.test.p:.2g}",
-                "Bonferroni": "-" if pair.p_bonferroni is None else f"{pair.p_bonferroni:.2g}",
+                "P(better)": f"{pair.improvement:.2f}",
+                "p": "-" if pair.difference.p is None else f"{pair.difference.p:.2g}",
                 "Holm": "-" if pair.p_holm is None else f"{pair.p_holm:.2g}",
             }
             for pair in comparison.pairs

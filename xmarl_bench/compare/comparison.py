@@ -1,9 +1,9 @@
 """Compares explainers on the same policies and states: by how much, how surely, and who cannot be told apart.
 
-Differences are paired by episode, with bootstrap intervals that draw policies first where there are several
-(xmarl_bench.metrics.statistics). Beside them stands the paper's test, Mann-Whitney U, which pools the
-episodes of all policies and pairs nothing; its p-values are corrected for all pairs of the table, by
-Bonferroni as in the paper and by Holm. "Paper" is Kailas, Jain and Ravichandar (ICML 2025).
+Differences are paired. Of several policies each is a unit, of a single one each episode, with Student's
+intervals and the paired t-test, whose p-values are corrected for all pairs of the table by Holm
+(xmarl_bench.metrics.statistics). Interquartile mean and probability of improvement are rliable's: the
+policies of a cell are its runs.
 """
 
 from __future__ import annotations
@@ -20,15 +20,13 @@ from xmarl_bench.compare.matching import Blocks, named
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.statistics import (
     Difference,
-    MannWhitney,
-    bonferroni,
-    hierarchical_bootstrap,
+    groups_by_head,
     holm,
-    mann_whitney,
-    tie_groups,
+    interquartile_mean,
+    over_units,
+    probability_of_improvement,
 )
 from xmarl_bench.metrics.table import OF_EXPLAINERS, Direction, metrics_of
-from xmarl_bench.reproducible import derived_seed
 
 Floats = NDArray[np.float64]
 BETTER = {
@@ -44,7 +42,8 @@ class Standing:
 
     explainer: str
     mean: Difference  # to 0: the mean over policies of the mean over episodes
-    tie_group: int  # from 1; see xmarl_bench.metrics.statistics.tie_groups
+    iqm: float  # interquartile mean of the policies' means; of the episodes of a single policy
+    tie_group: int  # from 1; who shares it with the group's first cannot be told from the first
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,8 @@ class Pair:
     first: str
     second: str
     difference: Difference  # first - second, paired
-    test: MannWhitney | None  # of their episodes, unpaired; None where one has no number
-    p_bonferroni: float | None
-    p_holm: float | None
+    improvement: float  # probability that a run of the first is better than one of the second in its cell
+    p_holm: float | None  # None where there is a single unit
 
 
 @dataclass(frozen=True)
@@ -75,11 +73,7 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
     values = {explainer: _values(blocks, explainer, metric) for explainer in blocks}
     sign = -1.0 if BETTER[metric] is Direction.LOWER else 1.0
     zeros = [np.zeros_like(block) for block in next(iter(values.values()))]
-
-    def rng(*of: str) -> np.random.Generator:
-        return np.random.default_rng(derived_seed("compare", metric, *of))
-
-    means = {name: hierarchical_bootstrap(each, zeros, rng(name)) for name, each in values.items()}
+    means = {name: over_units(each, zeros) for name, each in values.items()}
     without = sorted(name for name, mean in means.items() if mean.value is None)
     if without:
         raise InputError(
@@ -87,29 +81,44 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
             f"another metric."
         )
     order = sorted(values, key=lambda name: (-sign * (means[name].value or 0.0), name))
-    groups = tie_groups([values[name] for name in order], rng("ties"))
     pairs = list(combinations(order, 2))
-    tests = [mann_whitney(np.concatenate(values[a]), np.concatenate(values[b])) for a, b in pairs]
-    p = [test.p for test in tests if test is not None]
-    corrected = iter(zip(bonferroni(p).tolist(), holm(p).tolist(), strict=True))
+    differences = {(a, b): over_units(values[a], values[b]) for a, b in pairs}
+    groups = groups_by_head(len(order), lambda head, k: differences[order[head], order[k]].holds_zero)
+    p = [each.p for each in differences.values() if each.p is not None]
+    corrected = iter(holm(p).tolist())
+    runs = {name: _runs(blocks, name, each, sign) for name, each in values.items()}
     return Comparison(
         metric=metric,
         better=BETTER[metric].value,
         states=tuple(next(iter(blocks.values()))),
         standings=tuple(
-            Standing(name, means[name], group + 1) for name, group in zip(order, groups, strict=True)
+            Standing(name, means[name], _interquartile_mean(values[name]), group + 1)
+            for name, group in zip(order, groups, strict=True)
         ),
         pairs=tuple(
             Pair(
                 a,
                 b,
-                hierarchical_bootstrap(values[a], values[b], rng(a, b)),
-                test,
-                *(next(corrected) if test is not None else (None, None)),
+                difference,
+                probability_of_improvement(runs[a], runs[b]),
+                None if difference.p is None else next(corrected),
             )
-            for (a, b), test in zip(pairs, tests, strict=True)
+            for (a, b), difference in differences.items()
         ),
     )
+
+
+def _interquartile_mean(values: Sequence[Floats]) -> float:
+    return interquartile_mean(values[0] if len(values) == 1 else [np.nanmean(each) for each in values])
+
+
+def _runs(blocks: Blocks, explainer: str, values: Sequence[Floats], sign: float) -> dict[str, list[float]]:
+    """Cell -> means of its policies; of a single policy its episodes. Higher is better."""
+    runs: dict[str, list[float]] = {}
+    for cell, each in zip(blocks[explainer].values(), values, strict=True):
+        mean = sign * (each if len(values) == 1 else np.nanmean(each, keepdims=True))
+        runs.setdefault(f"{cell.task}, {cell.n_agents} agents", []).extend(mean[~np.isnan(mean)].tolist())
+    return runs
 
 
 def _values(blocks: Blocks, explainer: str, metric: str) -> list[Floats]:

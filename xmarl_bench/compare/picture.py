@@ -55,15 +55,13 @@ def draw(comparisons: Sequence[Comparison], path: Path) -> None:
                 _interval(right, k, pair.difference, GREY if pair.difference.holds_zero else "black", sure)
             right.axvline(0.0, color=GREY, linewidth=0.8)
             right.set_yticks(range(len(each.pairs)), [f"{pair.first} - {pair.second}" for pair in each.pairs])
-            right.set_title(f"difference; filled: Mann-Whitney U, Holm p < {SURE}", fontsize=9)
+            right.set_title(f"difference; filled: paired t-test, Holm p < {SURE}", fontsize=9)
             for panel, n_rows in ((left, len(names)), (right, len(each.pairs))):
                 panel.set_ylim(n_rows - 0.5, -0.5)  # the first on top
                 panel.spines[["top", "right"]].set_visible(False)
         n = len(comparisons[0].states)
-        figure.supxlabel(
-            f"95 % bootstrap intervals over episodes of {n} " + ("policies" if n > 1 else "policy"),
-            fontsize=9,
-        )
+        over = f"{n} policies" if n > 1 else "the episodes of one policy"
+        figure.supxlabel(f"95 % intervals over {over}", fontsize=9)
         data = io.BytesIO()
         metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
         figure.savefig(data, format=path.suffix[1:], dpi=150, metadata=metadata)

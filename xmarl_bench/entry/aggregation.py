@@ -16,7 +16,7 @@ from xmarl_bench.entry.schema import (
     Metrics,
     Summary,
 )
-from xmarl_bench.metrics.statistics import percentiles, resampled_means
+from xmarl_bench.metrics.statistics import percentile_interval
 from xmarl_bench.metrics.table import Group, names_of
 from xmarl_bench.reproducible import derived_seed
 
@@ -36,7 +36,7 @@ def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summa
         return Summary(value=None, interval=None, n=0, n_nan=n_nan)
     interval = None
     if x.size > 1:
-        interval = percentiles(resampled_means([x], rng))
+        interval = percentile_interval(x, rng)
     return Summary(value=float(x.mean()), interval=interval, n=int(x.size), n_nan=n_nan)
 
 

@@ -13,11 +13,11 @@ from xmarl_envs import TASKS
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import attention_entropy
-from xmarl_bench.metrics.statistics import paired_bootstrap
+from xmarl_bench.metrics.statistics import over_units
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.policy import Policy
-from xmarl_bench.reproducible import derived_seed, one_thread
+from xmarl_bench.reproducible import one_thread
 from xmarl_bench.rollout.cell import BLOCK, Cell, Sampling
 from xmarl_bench.rollout.episodes import Episode, Rollout, check_parallel, mean_metrics
 
@@ -100,7 +100,7 @@ def evaluate(
 
 def _gain(name: str, heard: Sequence[Episode], unheard: Sequence[Episode]) -> dict[str, float]:
     a, b = ([getattr(episode, name) for episode in episodes] for episodes in (heard, unheard))
-    gain = paired_bootstrap(a, b, np.random.default_rng(derived_seed("messages gain", name)))
+    gain = over_units([a], [b])
     assert gain.value is not None
     low, high = gain.interval or (gain.value, gain.value)
     return {"value": gain.value, "low": low, "high": high}

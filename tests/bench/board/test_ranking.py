@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from tests.helpers.made_entries import made_board, made_entry
 from xmarl_bench.board import board_of
-from xmarl_bench.board.ranking import Floats, complete_part, places, resampled
+from xmarl_bench.board.ranking import Floats, complete_part, places
 from xmarl_bench.board.tables import Json
 from xmarl_bench.entry.schema import Entry
-from xmarl_bench.metrics.statistics import hierarchical_bootstrap, percentiles, resampled_means, tie_groups
+from xmarl_bench.metrics.statistics import over_units
 
 
 def board(entries: Sequence[Entry]) -> Json:
@@ -28,10 +28,6 @@ def order_of(entry: Entry) -> float:
     return summary.value
 
 
-def rng() -> np.random.Generator:
-    return np.random.default_rng(0)
-
-
 def noisy(levels: Sequence[float], n_policies: int, n_episodes: int, seed: int = 1) -> list[Floats]:
     """Policies differ, and what they share between competitors cancels in a paired difference."""
     generator = np.random.default_rng(seed)
@@ -43,33 +39,9 @@ def noisy(levels: Sequence[float], n_policies: int, n_episodes: int, seed: int =
     ]
 
 
-def test_resamples_are_those_of_the_hierarchical_bootstrap() -> None:
-    """Another draw of the same distribution: intervals of a paired difference agree."""
-    blocks = noisy([0.5, 0.0], n_policies=6, n_episodes=20)
-    samples = resampled(blocks, rng(), 20_000)
-    low, high = percentiles(samples[:, 0] - samples[:, 1])
-    expected = hierarchical_bootstrap(
-        [block[0] for block in blocks], [block[1] for block in blocks], rng(), resamples=20_000
-    )
-    assert expected.interval is not None
-    assert [low, high] == pytest.approx(expected.interval, abs=0.003)
-    assert high - low < 0.2  # paired: unpaired it would be about 0.5
-    alone = resampled_means([block[0] for block in blocks], rng(), 20_000)
-    assert samples[:, 0].std() == pytest.approx(alone.std(), rel=0.03)
-
-
-def test_one_policy_is_the_plain_bootstrap_and_equal_episodes_have_no_spread() -> None:
-    samples = resampled([np.array([[0.0, 1.0], [3.0, 3.0]])], rng(), 4000)
-    assert np.unique(samples[:, 0]).tolist() == [0.0, 0.5, 1.0]
-    assert [(samples[:, 0] == x).mean() for x in (0.0, 0.5, 1.0)] == pytest.approx(
-        [0.25, 0.5, 0.25], abs=0.03
-    )
-    assert (samples[:, 1] == 3.0).all()
-
-
 def test_places_by_hand() -> None:
     blocks = noisy([0.0, 1.0, 0.99, -5.0], n_policies=1, n_episodes=12)
-    found = places([float(x) for x in blocks[0].mean(axis=1)], blocks, rng())
+    found = places([float(x) for x in blocks[0].mean(axis=1)], blocks)
     first, second = (1, 2) if found[1].rank == 1 else (2, 1)
     assert [found[r].rank for r in (first, second, 0, 3)] == [1, 2, 3, 4]
     assert found[0].rank_interval == (3, 3)
@@ -84,7 +56,7 @@ def test_places_by_hand() -> None:
 def test_what_is_equal_but_for_rounding_shares_a_rank() -> None:
     (block,) = noisy([1.0, 0.0], n_policies=1, n_episodes=12)
     block = np.stack([block[1], block[0], block[0] * (1 + 1e-15)])
-    found = places([float(row.mean()) for row in block], [block], rng())
+    found = places([float(row.mean()) for row in block], [block])
     assert [place.rank for place in found] == [3, 1, 1]
     assert [place.rank_interval for place in found] == [(3, 3), (1, 1), (1, 1)]
     assert [place.tie_group for place in found] == [2, 1, 1]
@@ -95,7 +67,7 @@ def test_what_is_equal_but_for_rounding_shares_a_rank() -> None:
 def test_places_are_a_ranking(levels: list[float], n_policies: int, seed: int) -> None:
     blocks = noisy(levels, n_policies, 8, seed)
     values = [float(np.mean([block[r].mean() for block in blocks])) for r in range(len(levels))]
-    found = places(values, blocks, rng())
+    found = places(values, blocks)
     by_rank = sorted(range(len(levels)), key=lambda r: found[r].rank)
     assert [found[r].rank for r in by_rank] == list(range(1, len(levels) + 1))
     assert [values[r] for r in by_rank] == sorted(values, reverse=True)
@@ -107,30 +79,46 @@ def test_places_are_a_ranking(levels: list[float], n_policies: int, seed: int) -
         assert 1 <= place.rank_interval[0] <= place.rank_interval[1] <= len(levels)
 
 
-def test_tie_groups_are_those_of_the_statistics() -> None:
-    """On differences of many standard errors, or of none, both sides must agree."""
+@pytest.mark.parametrize("n_policies", [1, 4])
+def test_intervals_and_groups_are_those_of_the_statistics(n_policies: int) -> None:
     levels = [3.0, 3.0, 2.0, 1.0, 1.0]
-    blocks = noisy(levels, n_policies=4, n_episodes=30)
-    values = [float(np.mean([block[r].mean() for block in blocks])) for r in range(len(levels))]
-    order = sorted(range(len(levels)), key=lambda r: -values[r])
-    expected = tie_groups([[block[r] for block in blocks] for r in order], rng())
-    found = places(values, blocks, rng())
-    assert [found[r].tie_group - 1 for r in order] == expected
-    assert len(set(expected)) >= 3
+    blocks = noisy(levels, n_policies, n_episodes=30)
+    rows = [[block[r] for block in blocks] for r in range(5)]
+    values = [float(np.mean([block[r].mean() for block in blocks])) for r in range(5)]
+    found = places(values, blocks)
+    zeros = [np.zeros(30)] * n_policies
+    for place, row in zip(found, rows, strict=True):
+        assert place.interval == pytest.approx(over_units(row, zeros).interval)
+    order = sorted(range(5), key=lambda r: -values[r])
+    head, group = order[0], 1
+    for r in order[1:]:
+        if not over_units(rows[head], rows[r]).holds_zero:
+            head, group = r, group + 1
+        assert found[r].tie_group == group
+    assert group >= 3
+
+
+def test_of_three_runs_little_is_known() -> None:
+    """A mean that is above in each of three runs, by different amounts, is not surely above."""
+    blocks = [np.array([[by, by], [0.0, 0.0]]) for by in (0.1, 0.5, 1.2)]
+    found = places([0.6, 0.0], blocks)
+    assert [place.rank for place in found] == [1, 2]
+    assert [place.rank_interval for place in found] == [(1, 2), (1, 2)]
+    assert [place.tie_group for place in found] == [1, 1]
 
 
 def test_an_episode_counts_where_all_have_a_number() -> None:
-    block = np.array([[1.0, np.nan, 3.0, 4.0], [0.0, 50.0, 0.0, 0.0]])
-    found = places([8 / 3, 0.0], [block], rng())
+    block = np.array([[2.9, np.nan, 3.0, 3.1], [0.0, 50.0, 0.0, 0.0]])
+    found = places([3.0, 0.0], [block])
     assert [place.rank_interval for place in found] == [(1, 1), (2, 2)]  # the 50 has no pair
 
 
 def test_one_episode_says_nothing() -> None:
-    found = places([0.1, 0.9], [np.array([[0.1], [0.9]])], rng())
+    found = places([0.1, 0.9], [np.array([[0.1], [0.9]])])
     assert [(p.rank, p.rank_interval, p.interval, p.tie_group) for p in found] == [
         (2, None, None, 1), (1, None, None, 1),
     ]  # fmt: skip
-    assert places([], [], rng()) == []
+    assert places([], []) == []
 
 
 def test_the_complete_part_is_shrunk_by_no_latecomer() -> None:

@@ -17,6 +17,7 @@ from xmarl_bench.compare.matching import blocks_of, read_named, shared_states
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, make_entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.metrics.statistics import holm
 from xmarl_bench.scoring.score import score
 
 Values = Sequence[float | None]
@@ -54,22 +55,22 @@ def test_a_comparison_by_hand(entry: Entry) -> None:
     assert (pair.first, pair.second) == ("better", "worse")
     assert pair.difference.value == pytest.approx(0.25)
     assert pair.difference.interval == pytest.approx((0.25, 0.25))  # paired: it is the same in every episode
-    assert pair.test is not None
-    assert pair.test.u == 15.0  # of 16 pairs, all but 0.35 < 0.4
-    assert pair.test.p == pytest.approx(stats.mannwhitneyu(better, worse).pvalue)
-    assert pair.p_bonferroni == pair.p_holm == pair.test.p
+    assert pair.improvement == 15 / 16  # of 16 pairs of episodes, all but 0.35 < 0.4
+    assert pair.p_holm == pair.difference.p
+    assert comparison.standings[0].iqm == pytest.approx(0.5)
+    assert compare(blocks, "gef").pairs[0].improvement == 15 / 16  # of "worse", which is better there
     assert [each.explainer for each in compare(blocks, "gef").standings] == ["worse", "better"]
 
 
 def test_p_values_are_corrected_for_all_pairs(entry: Entry) -> None:
-    values = [[0.1, 0.2, 0.3, 0.4], [0.11, 0.21, 0.31, 0.41], [0.7, 0.8, 0.9, 1.0]]
+    values = [[0.1, 0.2, 0.3, 0.4], [0.12, 0.2, 0.31, 0.41], [0.7, 0.85, 0.9, 1.0]]
     entries = [like(entry, name, each) for name, each in zip("abc", values, strict=True)]
     pairs = compare(blocks_of(entries), "fid_delta").pairs
     assert len(pairs) == 3
-    p = [pair.test.p for pair in pairs if pair.test is not None]
-    assert [pair.p_bonferroni for pair in pairs] == pytest.approx([min(1.0, 3 * each) for each in p])
-    ours = {(pair.first, pair.second): pair.p_holm for pair in pairs}
-    assert ours == pytest.approx({("c", "b"): 3 * min(p), ("c", "a"): 3 * min(p), ("b", "a"): max(p)})
+    p = {(pair.first, pair.second): pair.difference.p or 0.0 for pair in pairs}
+    ours = [pair.p_holm for pair in pairs]
+    assert ours == pytest.approx(holm(list(p.values())))
+    assert p["c", "a"] == pytest.approx(stats.ttest_rel(values[2], values[0]).pvalue)
 
 
 def test_several_policies_each_count_once(entry: Entry) -> None:
@@ -80,7 +81,9 @@ def test_several_policies_each_count_once(entry: Entry) -> None:
     comparison = compare(blocks_of(entries), "fid_delta")
     assert len(comparison.states) == 2
     assert comparison.standings[0].mean.value == 0.5
-    assert comparison.pairs[0].difference.interval == (0.0, 1.0)  # either policy may be drawn twice
+    expected = stats.ttest_1samp([0.0, 1.0], 0.0).confidence_interval(0.95)
+    assert comparison.pairs[0].difference.interval == pytest.approx(tuple(expected))  # two units, not eight
+    assert comparison.pairs[0].improvement == 0.5 * (0.5 + 0.5) + 0.25
     assert [each.tie_group for each in comparison.standings] == [1, 1]
 
 

@@ -47,7 +47,9 @@ def test_the_numbers_are_of_the_shipped_policies() -> None:
     """Where this fails, policies were replaced: run the studies again, and make the page of them."""
     shipped = {name: load_card(folder).weights_sha256 for name, folder in find_policies().items()}
     for study in findings():
-        assert study["protocol"]["id"] == PROTOCOL
+        if study["protocol"]["id"] != PROTOCOL:  # of another round, which the page must say
+            assert "**To be made anew.**" in (DOCS / PAGE).read_text(encoding="utf-8")
+            continue
         for policy in study["policies"]:
             assert shipped.get(policy["name"]) == policy["weights_sha256"], policy["name"]
 
@@ -68,7 +70,10 @@ CELLS = tuple(Cell("blind_navigation_v0", n) for n in (3, 4))
 
 def record(level: float, metric: str = "fid_delta") -> dict[str, Any]:
     """Attention `level` above GNNExplainer."""
-    judge = Judge(made_samples(CELLS, (ATTENTION, GNN), lambda c, name, r, m: level * (name == ATTENTION)))
+    samples = made_samples(
+        CELLS, (ATTENTION, GNN), lambda c, name, r, m: level * (name == ATTENTION), episodes=40
+    )
+    judge = Judge(samples)
     claim = Claim("x", "7", "here", "Attention is better", CELLS, (beats(ATTENTION, GNN, metric),))
     return judged_record(judge.judge(claim), cells=False)
 

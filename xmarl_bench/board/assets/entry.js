@@ -26,7 +26,7 @@ function showMetrics(row, details) {
       beside(floor), beside(best), element("td", {}, number(details.inverted?.[k]?.[0])));
   });
   $("metrics").replaceChildren(
-    element("caption", {}, "Means over episodes with 95 % bootstrap intervals; beside them controls on the same states"),
+    element("caption", {}, "Means over episodes with 95 % intervals; beside them controls on the same states"),
     element("thead", {}, element("tr", {}, ...["metric", "value", "episodes", "random mask", "oracle mask", "inverted mask"].map((title) => element("th", { scope: "col" }, title)))),
     element("tbody", {}, ...lines));
 }

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import typer
 from jinja2 import Environment, StrictUndefined
 
+from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.errors import InputError
 from xmarl_bench.papers.kailas2025.ledger import Verdict
 from xmarl_bench.papers.kailas2025.lenses import BEHAVIOUR
@@ -77,7 +78,10 @@ def page_of(findings: list[Json]) -> str:
         }
         for each in findings
     ]
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(studies=studies)
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+        studies=studies,
+        outdated=", ".join(sorted({each["protocol"]["id"] for each in findings} - {PROTOCOL})),
+    )
 
 
 def through_lenses(findings: Json, claim: Json) -> Json:

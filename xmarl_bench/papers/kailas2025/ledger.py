@@ -1,10 +1,10 @@
 """Judges statements on samples: held, not held or not decided, with the numbers.
 
-The episode is the unit. A contrast of one cell holds where both tests agree: the paper's (two-sided
-Mann-Whitney U of all episodes, p under 0.05 after Bonferroni over the tests of the statement) and the
-bootstrap interval of the mean paired difference (training runs resampled first, their episodes within them),
-which must not hold 0. "The same" and "no worse" are judged by that interval against a margin. Differences
-are signed so that positive is what the statement says.
+The training run is the unit: a contrast holds by the paired t-test over runs, p under 0.05 after Bonferroni
+over the tests of the statement. "The same" and "no worse" are judged by Student's interval of the mean
+difference against a margin. Differences are signed so that positive is what the statement says. The paper's
+own test, Mann-Whitney U of the pooled episodes of all runs, takes episodes of one run for independent runs
+and decides nothing here; its effect size stands beside the difference.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from xmarl_bench.metrics.statistics import MannWhitney, bonferroni, hierarchical_bootstrap, mann_whitney
+from xmarl_bench.metrics.statistics import bonferroni, over_runs, rank_biserial
 from xmarl_bench.papers.kailas2025.claims import (
     ORIENTATION,
     Cell,
@@ -26,10 +26,8 @@ from xmarl_bench.papers.kailas2025.claims import (
     Relation,
 )
 from xmarl_bench.papers.kailas2025.samples import Blocks, Samples
-from xmarl_bench.reproducible import derived_seed
 
 ALPHA = 0.05
-RESAMPLES = 2000
 
 
 class Verdict(StrEnum):
@@ -50,8 +48,8 @@ class Compared:
     b: float | None
     difference: float | None
     interval: tuple[float, float] | None
-    p: float | None
-    effect: float | None  # rank-biserial correlation, in [-1, 1]
+    p: float | None  # of the paired t-test over runs
+    effect: float | None  # rank-biserial correlation of the episodes, in [-1, 1]
 
 
 @dataclass(frozen=True)
@@ -113,17 +111,14 @@ class Judge:
                 more_a, more_b = self.samples.blocks(cell, contrast)
                 a += more_a
                 b += more_b
-            rng = np.random.default_rng(derived_seed("ledger", repr(contrast), *map(repr, cells)))
-            self.known[key] = compare(a, b, ORIENTATION[contrast.metric], rng)
+            self.known[key] = compare(a, b, ORIENTATION[contrast.metric])
         return self.known[key]
 
 
-def compare(a: Blocks, b: Blocks, orientation: int, rng: np.random.Generator) -> Compared:
+def compare(a: Blocks, b: Blocks, orientation: int) -> Compared:
     """Two lists of (E,) arrays, one pair per policy; orientation -1 where less is better."""
-    difference = hierarchical_bootstrap(
-        [orientation * x for x in a], [orientation * x for x in b], rng, resamples=RESAMPLES
-    )
-    test: MannWhitney | None = mann_whitney(np.concatenate(a), np.concatenate(b)) if a else None
+    difference = over_runs([orientation * x for x in a], [orientation * x for x in b])
+    effect = rank_biserial(np.concatenate(a), np.concatenate(b)) if a else None
     measured = [
         (x[~np.isnan(x)], y[~np.isnan(y)])
         for x, y in zip(a, b, strict=True)
@@ -137,8 +132,8 @@ def compare(a: Blocks, b: Blocks, orientation: int, rng: np.random.Generator) ->
         b=float(np.mean([y.mean() for _, y in measured])) if measured else None,
         difference=difference.value,
         interval=difference.interval,
-        p=None if test is None else test.p,
-        effect=None if test is None else orientation * test.effect,
+        p=difference.p,
+        effect=None if effect is None else orientation * effect,
     )
 
 
@@ -158,12 +153,9 @@ def decide(contrast: Contrast, compared: Compared, p_adjusted: float | None) -> 
         if low >= -margin:
             return Verdict.HELD
         return Verdict.NOT_HELD if high < -margin else Verdict.NOT_DECIDED
-    assert compared.effect is not None
     if p_adjusted is None or p_adjusted >= ALPHA:
         return Verdict.NOT_DECIDED
-    if low > 0 and compared.effect > 0:
-        return Verdict.HELD
-    return Verdict.NOT_HELD if high < 0 and compared.effect < 0 else Verdict.NOT_DECIDED
+    return Verdict.HELD if compared.difference > 0 else Verdict.NOT_HELD
 
 
 def combine(verdicts: Sequence[Verdict], how: Combine) -> Verdict:

@@ -13,15 +13,14 @@ import numpy as np
 
 from xmarl_bench.board.gate import shut_gate
 from xmarl_bench.entry.schema import Entry
-from xmarl_bench.metrics.statistics import percentiles, resampled_means
+from xmarl_bench.metrics.statistics import student_interval
 from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Claim, Term
-from xmarl_bench.papers.kailas2025.ledger import RESAMPLES, Judge, Judged, JudgedContrast, Verdict
+from xmarl_bench.papers.kailas2025.ledger import Judge, Judged, JudgedContrast, Verdict
 from xmarl_bench.papers.kailas2025.lenses import LENSES
 from xmarl_bench.papers.kailas2025.performance import performance
 from xmarl_bench.papers.kailas2025.plan import Study
 from xmarl_bench.papers.kailas2025.samples import Samples, percent_of
 from xmarl_bench.policy import PolicyCard
-from xmarl_bench.reproducible import derived_seed
 
 SCHEMA = 1
 # Metrics of the tables.
@@ -84,10 +83,9 @@ def quality(data: StudyData) -> list[Json]:
                     if not blocks:
                         continue
                     interval = None
-                    if sum(x.size for x in blocks) > 1:
-                        seed = derived_seed("study", cell.label, regularised, explainer, metric)
-                        rng = np.random.default_rng(seed)
-                        interval = percentiles(resampled_means(blocks, rng, RESAMPLES))
+                    if len(blocks) > 1:
+                        low, high = student_interval(np.array([x.mean() for x in blocks]))
+                        interval = float(low), float(high)
                     records.append(
                         {
                             "cell": cell.label,

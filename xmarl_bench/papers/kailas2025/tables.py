@@ -77,8 +77,8 @@ def quality_table(results: Json, metric: str) -> Table:
     direction = {1: " (higher is better)", -1: " (lower is better)"}.get(ORIENTATION.get(metric, 0), "")
     return Table(
         metric,
-        f"{_capital(METRIC_NAMES[metric])}{direction}: mean over policies and 95 % interval, training "
-        "runs resampled first, then episodes.",
+        f"{_capital(METRIC_NAMES[metric])}{direction}: mean over training runs and Student's 95 % "
+        "interval over them.",
         ("cell", "explainer", "without the term", "with the term"),
         tuple(rows),
         2,

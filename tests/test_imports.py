@@ -27,7 +27,7 @@ FLOORS = (
     ("compare", "explain"),
     ("board", "checks", "plugins"),
     ("scoring",),
-    ("papers", "render", "submission"),
+    ("papers", "planted", "render", "submission"),
     ("cli",),
 )
 

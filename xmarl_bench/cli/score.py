@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -25,6 +25,11 @@ from xmarl_bench.cli.options import (
     TrustCode,
 )
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xmarl_bench.explain.explainer import Explainer
 
 
 def score(
@@ -65,6 +70,13 @@ def score(
     resume: Resume = True,
     submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
     out: Annotated[Path, typer.Option(help="Where entries/ and the page go.")] = Path("results"),
+    suite: Annotated[
+        Literal["tasks", "planted"],
+        typer.Option(
+            help="`planted`: policies whose relevant messages are known by construction, in place of the "
+            "tasks; takes --explainer, --seed and --out."
+        ),
+    ] = "tasks",
 ) -> None:
     """Score explainers on policies; write one entry per pair and rebuild the leaderboard.
 
@@ -85,6 +97,9 @@ def score(
     from xmarl_bench.scoring.score import Failed, score_requests
     from xmarl_bench.scoring.selection import plan, select_explainers, select_policies
 
+    if suite == "planted":
+        _score_planted(select_explainers(explainer), seed, out)
+        return
     workers = Workers(jobs, backend, address)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
     slow = replace(
@@ -133,3 +148,49 @@ def score(
             f"{len(entries)} entries in {out / 'entries'}, leaderboard in {board} and {out / 'index.html'}."
         )
     tables.exit_for_failures(failed, len(requests))
+
+
+def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> None:
+    from xmarl_bench.cli import tables
+    from xmarl_bench.planted.families import FAMILIES
+    from xmarl_bench.planted.suite import SIZES, agreement, means_of, record, score_planted
+    from xmarl_bench.records.files import write_json
+
+    found = score_planted(explainers, seed=seed)
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "planted.json", record(found, seed))
+    by_family = {
+        (name, family): [
+            each.auroc
+            for each in found
+            if (each.explainer, each.family) == (name, family) and each.auroc is not None
+        ]
+        for name in means_of(found)
+        for family in FAMILIES
+    }
+    tables.print_rows(
+        [
+            {
+                "explainer": name,
+                "AUROC": f"{means['auroc']:.2f}",
+                "AP": f"{means['precision']:.2f}",
+                "fidelity": f"{means['fidelity']:.2f}",
+                **{
+                    family: f"{sum(by_family[name, family]) / len(by_family[name, family]):.2f}"
+                    for family in FAMILIES
+                },
+            }
+            for name, means in means_of(found).items()
+        ]
+    )
+    tau = agreement(found)
+    sizes = ", ".join(map(str, SIZES))
+    print(
+        f"Planted truth, teams of {sizes}: AUROC, average precision (AP), message fidelity; AUROC by family."
+    )
+    if tau is not None:
+        print(f"Kendall's tau of AUROC and message fidelity over explainers: {tau:.2f}.")
+    for each in found:
+        if each.error is not None:
+            print(f"{each.explainer} on {each.family}, {each.n_agents} agents: {each.error}")
+    print(f"All numbers in {out / 'planted.json'}.")

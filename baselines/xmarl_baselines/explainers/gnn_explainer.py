@@ -30,6 +30,7 @@ from torch import Tensor
 from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.policy import Policy
 
 
@@ -97,3 +98,5 @@ gnn_explainer = Explainer(
     stochastic=True,
     hyperparameters=asdict(SETTINGS),
 )
+
+gnn_explainer_messages = messages_only(gnn_explainer)

@@ -42,6 +42,7 @@ from torch.nn import functional as F
 from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.policy import Policy
 
 BETA, GAMMA, ZETA = 1 / 3, -0.2, 1.0  # temperature and stretch of the hard concrete
@@ -141,3 +142,5 @@ graphmask = Explainer(
     stochastic=True,
     hyperparameters=asdict(SETTINGS),
 )
+
+graphmask_messages = messages_only(graphmask)

@@ -21,6 +21,7 @@ from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_baselines.explainers.gradient import NORMALISER, gradient_at
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.policy import Policy
 
 POINTS = 32
@@ -47,3 +48,5 @@ integrated_gradients = Explainer(
     "gradients integrated from no message to all messages",
     hyperparameters={"points": POINTS, "rule": "midpoint", "normaliser": NORMALISER},
 )
+
+integrated_gradients_messages = messages_only(integrated_gradients)

@@ -16,6 +16,7 @@ from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.effect import share_of_largest
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.policy import Policy
 
 
@@ -55,3 +56,5 @@ occlusion = Explainer(
     "how far the action moves without each message",
     hyperparameters={"normaliser": "a / max a over the row"},
 )
+
+occlusion_messages = messages_only(occlusion)

@@ -32,6 +32,7 @@ from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_baselines.explainers.gradient import NORMALISER
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.explain.oracle import change_table, why_no_oracle
 from xmarl_bench.policy import Policy
 
@@ -108,3 +109,5 @@ shapley = Explainer(
     stochastic=True,  # above 10 agents or in several layers
     hyperparameters={"exact_up_to": 10, "orders": 2 * PAIRS, "normaliser": NORMALISER},
 )
+
+shapley_messages = messages_only(shapley)

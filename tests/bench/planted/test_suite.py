@@ -1,0 +1,115 @@
+"""Ranking quality by hand and by scikit-learn's definitions; what explainers find of planted truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.conftest import RunCli
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.planted.families import FAMILIES, planted
+from xmarl_bench.planted.suite import Found, agreement, means_of, score_planted
+from xmarl_bench.planted.truth import auroc, average_precision
+from xmarl_bench.plugins.registry import find_explainer
+
+ONE = np.ones((1, 4), dtype=bool)
+ONE[0, 1:] = False  # receiver 0 alone
+
+
+def row(*values: float) -> np.ndarray:
+    """A mask of receiver 0: its own edge, then three messages."""
+    mask = np.zeros((1, 4, 4))
+    mask[0, 0] = (9.0, *values)
+    return mask
+
+
+def matters(*which: bool) -> np.ndarray:
+    relevant = np.zeros((1, 4, 4), dtype=bool)
+    relevant[0, 0, 1:] = which
+    return relevant
+
+
+def test_by_hand() -> None:
+    first, last = matters(True, False, False), matters(False, False, True)
+    assert auroc(row(0.9, 0.5, 0.1), first, ONE) == average_precision(row(0.9, 0.5, 0.1), first, ONE) == 1.0
+    assert auroc(row(0.9, 0.5, 0.1), last, ONE) == 0.0
+    assert average_precision(row(0.9, 0.5, 0.1), last, ONE) == pytest.approx(1 / 3)
+    two = matters(True, False, True)  # above and below the one that does not
+    assert auroc(row(0.9, 0.5, 0.1), two, ONE) == 0.5
+    assert average_precision(row(0.9, 0.5, 0.1), two, ONE) == pytest.approx((1 + 2 / 3) / 2)
+    assert auroc(row(0.5, 0.5, 0.5), first, ONE) == 0.5
+    assert average_precision(row(0.5, 0.5, 0.5), first, ONE) == pytest.approx(1 / 3)
+
+
+@given(st.integers(0, 10**6))
+def test_the_truth_is_perfect_and_its_inverse_the_worst(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    relevant = np.zeros((5, 4, 4), dtype=bool)
+    for s, i in np.ndindex(5, 4):
+        relevant[
+            s, i, rng.choice([j for j in range(4) if j != i], size=rng.integers(1, 3), replace=False)
+        ] = True
+    counted = np.ones((5, 4), dtype=bool)
+    noisy = relevant + 0.9 * rng.random(relevant.shape)
+    assert auroc(noisy, relevant, counted) == average_precision(noisy, relevant, counted) == 1.0
+    assert auroc(-noisy, relevant, counted) == 0.0
+
+
+def test_what_explainers_are_good_and_bad_at_by_design() -> None:
+    """Occlusion cannot see a redundant pair; attention falls for the decoy, and for nothing else."""
+    names = ("attention", "occlusion", "shapley")
+    found = score_planted([find_explainer(name) for name in names], sizes=[5], n_steps=30)
+
+    def of(family: str, explainer: str) -> Found:
+        return next(each for each in found if (each.family, each.explainer) == (family, explainer))
+
+    assert of("redundant-pair", "occlusion").auroc == pytest.approx(0.5, abs=0.02)
+    assert (of("redundant-pair", "shapley").auroc or 0.0) > 0.99
+    assert (of("decoy", "attention").auroc or 1.0) < 0.8
+    assert (of("decoy", "occlusion").auroc or 0.0) > 0.99
+    for family in set(FAMILIES) - {"decoy"}:
+        assert (of(family, "attention").auroc or 0.0) > 0.99, family
+    for family in FAMILIES:
+        ones = of(family, "all-ones")
+        assert (ones.auroc, ones.message_fidelity) == (0.5, 0.0)
+        assert abs((of(family, "random").auroc or 0.0) - 0.5) < 0.1
+    tau = agreement(found)
+    assert tau is not None
+    assert tau > 0.5
+
+
+def test_one_that_fails_is_told_and_stops_no_other() -> None:
+    def broken(policy: object, observations: torch.Tensor, generator: object) -> torch.Tensor:
+        raise ValueError("not today")
+
+    found = score_planted([Explainer("broken", broken)], sizes=[4], n_steps=3)
+    errors = [each.error for each in found if each.explainer == "broken"]
+    assert len(errors) == len(FAMILIES)
+    assert all(error is not None and "not today" in error for error in errors)
+    assert set(means_of(found)) == {"random", "all-ones"}
+    assert agreement(found) is None
+    with pytest.raises(InputError, match="3 to 10 agents"):
+        score_planted([], sizes=[11])
+
+
+@pytest.mark.slow
+def test_the_command_writes_the_same_bytes_again(run_cli: RunCli, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first = run_cli("score", "--suite", "planted", "--explainer", "attention", "--out", str(out))
+    assert first.code == 0, first.err
+    assert "Kendall's tau" in first.out
+    written = (out / "planted.json").read_bytes()
+    assert {each["family"] for each in json.loads(written)["found"]} == set(FAMILIES)
+    assert run_cli("score", "--suite", "planted", "--explainer", "attention", "--out", str(out)).code == 0
+    assert (out / "planted.json").read_bytes() == written
+
+
+def test_states_have_several_sizes() -> None:
+    assert planted("by-content", 3).relevant.shape == (100, 3, 3)

@@ -1,0 +1,85 @@
+"""Makes an explainer ask about messages between agents alone: every agent's own edge is always kept.
+
+Most explainers compare with a team that hears nothing at all, not even itself. The order of the leaderboard
+keeps own edges, and that mismatch alone decides much: they explain another absence than the one they are
+measured by. `messages_only(shapley)` is Shapley's value of each message for an agent that hears itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from xmarl_bench.explain.explainer import Explain, Explainer, Fit
+from xmarl_bench.policy import ActionDistribution, Policy
+
+SUFFIX = "-messages"
+
+
+class OwnKept(Policy):
+    """A policy whose agents always hear themselves, whatever a mask says of their own edges."""
+
+    def __init__(self, policy: Policy) -> None:
+        super().__init__()
+        self.policy = policy
+        self.graph = policy.graph
+
+    @property
+    def row_wise(self) -> bool:
+        return self.policy.row_wise
+
+    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        """(n, D), (2, edges) -> (n, A)."""
+        action: Tensor = self.policy(x, edge_index)
+        return action
+
+    def prepare(self, observation: Tensor) -> Any:
+        """(S, N, D) -> what `decode` takes."""
+        return self.policy.prepare(observation)
+
+    def decode(self, prepared: Any, mask: Tensor | None = None) -> ActionDistribution:
+        """F of the mask with its diagonal set to 1."""
+        if mask is None:
+            return self.policy.decode(prepared)
+        own = torch.eye(mask.shape[-1], dtype=mask.dtype)
+        return self.policy.decode(prepared, mask * (1.0 - own) + own)
+
+    def attention(self, observation: Tensor) -> Tensor:
+        """(S, N, D) -> (S, N, N)."""
+        return self.policy.attention(observation)
+
+
+def messages_only(explainer: Explainer) -> Explainer:
+    """The explainer under another name, `NAME-messages`; own edges are 1 in its masks.
+
+    It is for explainers that ask `decode` about masks, as all that the benchmark ships do but attention's,
+    and for batched ones: called for one timestep, an explainer is given a network.
+    """
+
+    def asked(explain: Explain) -> Explain:
+        def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+            mask = explain(OwnKept(policy), observations, generator)
+            own = torch.eye(mask.shape[-1], dtype=mask.dtype)
+            return mask * (1.0 - own) + own
+
+        return about_messages
+
+    return replace(
+        explainer,
+        name=f"{explainer.name}{SUFFIX}",
+        explain=asked(explainer.explain),
+        summary=f"{explainer.summary}; an agent always hears itself",
+        hyperparameters={**explainer.hyperparameters, "own_edge": "kept"},
+        fit=None if explainer.fit is None else _asked_of(explainer.fit),
+        origin=None,
+    )
+
+
+def _asked_of(fit: Fit) -> Fit:
+    def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Explain:
+        return fit(OwnKept(policy), observations, generator)
+
+    return about_messages

@@ -3,7 +3,8 @@
     python -m xmarl_baselines.ship RUNS
 
 Copies the bundle that `xmarl-train --reproduce` wrote for every reference run that is finished in the folder
-RUNS. Does not compare it with anything: the worst seed is shipped like the best.
+RUNS and is not in the package yet. Does not compare it with anything: the worst seed is shipped like the
+best.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from typing import Annotated, Any
 import typer
 from safetensors.torch import load_file
 
-from xmarl_baselines.policies import HERE
+from xmarl_baselines.policies import HERE, shipped_policies
 from xmarl_baselines.reference import EPISODES, reference_runs
 from xmarl_baselines.training.model_selection import weights_at
 from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
+from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.rollout.evaluation import evaluate_policy
 
 # Percent of training, at which every run validates. The appendix of Kailas et al. (ICML 2025) on training
@@ -32,6 +34,9 @@ def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --o
         if not (bundle / "policy.json").exists():
             continue
         policy, card = load_policy(bundle)
+        known = shipped_policies().get(name)
+        if known is not None and load_card(known) == card:
+            continue
         assert isinstance(policy, GraphPolicy)  # what xmarl-train trains
         fields = card.model_dump(exclude={"architecture", "weights_sha256"})
         save_policy(HERE / name, policy, **fields)

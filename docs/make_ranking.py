@@ -15,19 +15,26 @@ ROOT = Path(__file__).parent.parent
 BEGIN, END = "<!-- ranking:begin -->\n", "<!-- ranking:end -->"
 
 
+CONTROLS = {
+    "all-ones": "the mask of ones",  # FidDelta cannot tell it from the best one
+    "nearest": "the nearest agent",
+    "initial-attention": "attention before training",
+}
+
+
 def section(ranking: dict[str, Any]) -> str:
-    """The explainers in order, and between them the control that FidDelta cannot tell from the best one."""
+    """The explainers in order, and between them the controls to read them by."""
     lines = [
         f"Over the {len(ranking['policies'])} policies scored with them (`make board`), 0 is a random "
         "ranking of the messages and 1 the best one:",
         "",
-        "| explainer | comm. budgeted fidelity | FidDelta |",
+        "| explainer | message fidelity | FidDelta |",
         "|---|---|---|",
     ]
     for row in ranking["rows"]:
-        if row["control"] and row["explainer"] != "all-ones":
+        if row["control"] and row["explainer"] not in CONTROLS:
             continue
-        name = "the mask of ones, a control" if row["control"] else row["explainer"]
+        name = f"{CONTROLS[row['explainer']]}, a control" if row["control"] else row["explainer"]
         interval = "" if row["interval"] is None else " [{:.2f}, {:.2f}]".format(*row["interval"])
         lines.append(f"| {name} | {row['value']:.2f}{interval} | {row['means']['fid_delta']:.2f} |")
     return "\n".join(lines) + "\n"

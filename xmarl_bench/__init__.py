@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from xmarl_bench.errors import InputError
     from xmarl_bench.explain.adapters import as_explainer
     from xmarl_bench.explain.explainer import Explainer
+    from xmarl_bench.explain.messages_only import messages_only
     from xmarl_bench.explain.pyg import PygExplain
     from xmarl_bench.policy import (
         Architecture,
@@ -55,6 +56,7 @@ _HOME = {
     "build_policy": "policy",
     "evaluate": "rollout.evaluation",
     "load_policy": "policy",
+    "messages_only": "explain.messages_only",
     "read_entry": "entry.file",
     "roll_out": "rollout.episodes",
     "save_policy": "policy",
@@ -66,7 +68,7 @@ __all__ = [
     "Architecture", "CompleteGraph", "Entry", "Episode", "Explainer", "FixedGraph", "GraphLayer",
     "GraphPolicy", "InputError", "LayeredArchitecture", "Performance", "PolicyCard", "PolicyModule",
     "PygExplain", "RadiusGraph", "as_explainer", "build_board", "build_policy", "evaluate", "load_policy",
-    "read_entry", "roll_out", "save_policy", "score", "write_entry",
+    "messages_only", "read_entry", "roll_out", "save_policy", "score", "write_entry",
 ]  # fmt: skip
 
 

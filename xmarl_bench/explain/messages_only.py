@@ -13,6 +13,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.adapters import as_explainer
 from xmarl_bench.explain.explainer import Explain, Explainer, Fit
 from xmarl_bench.policy import ActionDistribution, Policy
 
@@ -52,12 +54,19 @@ class OwnKept(Policy):
         return self.policy.attention(observation)
 
 
-def messages_only(explainer: Explainer) -> Explainer:
-    """The explainer under another name, `NAME-messages`; own edges are 1 in its masks.
+def messages_only(thing: object) -> Explainer:
+    """The explainer, or whatever `as_explainer` takes, as `NAME-messages`; own edges are 1 in its masks.
 
     It is for explainers that ask `decode` about masks, as all that the benchmark ships do but attention's,
-    and for batched ones: called for one timestep, an explainer is given a network.
+    and for batched ones: one that is called for a timestep at a time is given the network itself. Raises
+    InputError for that, and for what is no explainer.
     """
+    explainer = as_explainer(thing)
+    if not explainer.batched:
+        raise InputError(
+            f"explainer {explainer.name!r} is called for one timestep at a time, with the network: it cannot "
+            f"be asked about messages alone."
+        )
 
     def asked(explain: Explain) -> Explain:
         def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:

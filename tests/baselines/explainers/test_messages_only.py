@@ -13,6 +13,7 @@ from xmarl_baselines.explainers.occlusion import changes_without, occlusion_mess
 from xmarl_baselines.explainers.shapley import shapley_messages
 
 from tests.helpers.policies import random_masks, random_observations, small_policy
+from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.messages_only import OwnKept, messages_only
@@ -111,3 +112,15 @@ def test_what_learns_is_fitted_to_agents_that_hear_themselves() -> None:
     assert made.fit is not None
     made.fit(small_policy(6), random_observations(2, 3, 6), torch.Generator())
     assert seen == [OwnKept]
+
+
+def test_functions_too_and_what_is_given_a_network_is_refused() -> None:
+    def closest(observations: Tensor, policy: object) -> Tensor:
+        return torch.exp(-torch.cdist(observations[..., :2], observations[..., :2]))
+
+    made = messages_only(closest)
+    assert made.name == "closest-messages"
+    mask = run_explainer(made, small_policy(6), random_observations(2, 3, 6), 0)
+    assert mask.diagonal(dim1=1, dim2=2).eq(1).all()
+    with pytest.raises(InputError, match="one timestep at a time"):
+        messages_only(Explainer("single", closest, batched=False))  # type: ignore[arg-type]

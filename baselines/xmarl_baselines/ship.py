@@ -34,14 +34,15 @@ def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --o
         if not (bundle / "policy.json").exists():
             continue
         policy, card = load_policy(bundle)
-        known = shipped_policies().get(name)
-        if known is not None and load_card(known) == card:
+        along = (run.recipe.task, run.n_agents, run.seed) == ("blind_navigation_v0", 3, 0)
+        there = [name, *(f"{name}-at{percent}" for percent in ALONG_TRAINING if along)]
+        if shipped_policies().keys() >= set(there) and load_card(HERE / name) == card:
             continue
         assert isinstance(policy, GraphPolicy)  # what xmarl-train trains
         fields = card.model_dump(exclude={"architecture", "weights_sha256"})
         save_policy(HERE / name, policy, **fields)
         print(f"{name}: success {card.performance['with_messages']['success_rate']:.3f}")
-        if (run.recipe.task, run.n_agents, run.seed) == ("blind_navigation_v0", 3, 0):
+        if along:
             _ship_along_training(runs / name, policy, fields)
 
 

@@ -6,7 +6,7 @@ BENCH_STAMP := .venv/.bench-installed
 # Two processes that share a machine's cores do best with one thread each.
 export OMP_NUM_THREADS ?= 1
 # For whoever edits a function: no training, browser, cluster or fresh process.
-QUICK := not slow and not training and not browser and not cluster
+QUICK := not slow and not training and not browser and not cluster and not benchmark
 
 # Where `make score` writes entries, leaderboard.json and index.html. Git ignores results/; leaderboard/ is the committed
 # board, which `make board` brings up to date.

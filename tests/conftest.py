@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import gc
 import os
 import secrets
 import sys
@@ -11,27 +13,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from hypothesis import HealthCheck, settings
-from xmarl_envs import TASKS
+import typer.main
 
-from tests.helpers.policies import small_policy
-from xmarl_bench.cli import main as cli
-from xmarl_bench.policy import save_policy
+# Nothing that imports torch: the process that hands out tests reads this file too.
 
 # Ray reads these once a process, whoever is first to touch it there. A head takes work only from those who
 # have its token; workers are nice by default, and would get nothing for minutes where the machine is busy.
 os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_worker_niceness": "0"}
-
-# The same few examples on every run and machine: what fails, fails again. No deadline, as machines are busy.
-settings.register_profile(
-    "tests",
-    max_examples=20,
-    deadline=None,
-    derandomize=True,
-    database=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
-)
-settings.load_profile("tests")
 
 MakeBundle = Callable[..., Path]
 
@@ -41,7 +29,32 @@ MARKED = {
     "baselines/training": "training",
     "bench/board/page": "browser",
     "bench/parallel/test_clusters.py": "cluster",
+    "benchmarks": "benchmark",
 }
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """A folder that `-m` leaves out is not even imported."""
+    marks = [mark for folder, mark in MARKED.items() if collection_path == TESTS / folder]
+    return True if any(f"not {mark}" in config.option.markexpr for mark in marks) else None
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """The same few examples on every run and machine: what fails, fails again. No deadline, as machines are
+    busy."""
+    if session.config.option.tx:  # this process hands out tests and runs none
+        return
+    from hypothesis import HealthCheck, settings
+
+    settings.register_profile(
+        "tests",
+        max_examples=20,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    )
+    settings.load_profile("tests")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -52,6 +65,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(mark)
     slow = {item.path for item in items if any(map(item.get_closest_marker, {"slow", *MARKED.values()}))}
     items.sort(key=lambda item: item.path not in slow)
+    gc.freeze()  # what was imported stays: the collector need not walk through it again
 
 
 class Ran(NamedTuple):
@@ -67,6 +81,11 @@ def save_bundle(
     folder: Path, task: str = "blind_navigation_v0", n_agents: int = 3, name: str = "small", seed: int = 0
 ) -> Path:
     """The folder of a saved random policy, below `folder`."""
+    from xmarl_envs import TASKS
+
+    from tests.helpers.policies import small_policy
+    from xmarl_bench.policy import save_policy
+
     policy = small_policy(len(TASKS[task].observation_names), seed)
     place = folder / "policies" / name
     save_policy(
@@ -81,10 +100,16 @@ def make_bundle(tmp_path: Path) -> MakeBundle:
     return partial(save_bundle, tmp_path)
 
 
+parser = functools.cache(typer.main.get_command)  # a program builds its parser once
+
+
 @pytest.fixture
 def run_cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RunCli:
     """run_cli("score", "--task", ...) -> exit code and what was printed; an uncaught exception propagates."""
+    from xmarl_bench.cli import main as cli
+
     monkeypatch.setenv("XMARL_BENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(typer.main, "get_command", parser)
 
     def run(*arguments: object) -> Ran:
         monkeypatch.setattr(sys, "argv", ["xmarl-bench", *map(str, arguments)])

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 import torch
 from pettingzoo.utils import parallel_to_aec
-from torchrl.collectors import Collector
-from torchrl.envs import PettingZooWrapper
-from torchrl.envs.utils import check_env_specs
 from xmarl_envs import TASKS, TaskParallelEnv, make_task
 from xmarl_envs.info_at_reset import InfoAtReset
 
+# TorchRL takes a second to import: where a test runs, not where it is collected.
 tasks = pytest.mark.parametrize("name", TASKS)
 
 
@@ -26,9 +24,21 @@ def torchrl_s_remark_on_pettingzoo_s_version() -> Iterator[None]:
         yield
 
 
+def wrapped(env: Any, **options: bool) -> Any:
+    from torchrl.envs import PettingZooWrapper
+
+    return PettingZooWrapper(env, **options)
+
+
+def check_env_specs(env: Any) -> None:
+    from torchrl.envs import utils
+
+    utils.check_env_specs(env)
+
+
 @tasks
 def test_specs_hold_and_a_rollout_is_the_episode(name: str) -> None:
-    env = PettingZooWrapper(InfoAtReset(TaskParallelEnv(make_task(name, 3), 12)), return_state=True)
+    env = wrapped(InfoAtReset(TaskParallelEnv(make_task(name, 3), 12)), return_state=True)
     check_env_specs(env)
     assert env.group_map == {"agent": ["agent_0", "agent_1", "agent_2"]}
     peer = TaskParallelEnv(make_task(name, 3), 12)
@@ -61,7 +71,7 @@ def same(tensor: torch.Tensor, by_agent: dict[str, Any]) -> None:
 
 @tasks
 def test_turn_by_turn_environments_are_stepped_too(name: str) -> None:
-    env = PettingZooWrapper(parallel_to_aec(TaskParallelEnv(make_task(name, 2), 6)), use_mask=True)
+    env = wrapped(parallel_to_aec(TaskParallelEnv(make_task(name, 2), 6)), use_mask=True)
     check_env_specs(env)
     rollout = env.rollout(40)
     assert rollout["next", "done"][-1].item()
@@ -69,7 +79,9 @@ def test_turn_by_turn_environments_are_stepped_too(name: str) -> None:
 
 
 def test_a_collector_goes_on_from_episode_to_episode() -> None:
-    env = PettingZooWrapper(TaskParallelEnv(make_task("blind_navigation_v0", 3), 10))
+    from torchrl.collectors import Collector
+
+    env = wrapped(TaskParallelEnv(make_task("blind_navigation_v0", 3), 10))
     collector = Collector(env, frames_per_batch=50, total_frames=50)
     (batch,) = list(collector)
     collector.shutdown()
@@ -81,5 +93,5 @@ def test_a_collector_goes_on_from_episode_to_episode() -> None:
 
 def test_what_info_at_reset_is_for() -> None:
     """Should TorchRL learn of infos at the first step, `InfoAtReset` can go."""
-    bare = PettingZooWrapper(TaskParallelEnv(make_task("blind_navigation_v0", 3), 4))
+    bare = wrapped(TaskParallelEnv(make_task("blind_navigation_v0", 3), 4))
     assert ("next", "agent", "info", "at_goal") not in bare.rollout(4).keys(True)

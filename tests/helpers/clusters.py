@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
-from distributed import Client
 
 ROOT = Path(__file__).parents[2]
 SECONDS = 60.0  # for a cluster to be up, on a busy machine
@@ -41,6 +40,8 @@ def ray_cluster() -> Iterator[str]:
 @contextmanager
 def dask_cluster(*options: str) -> Iterator[str]:
     """Yields the address of a scheduler with two workers, each one thread in a process and a nanny around."""
+    from distributed import Client
+
     port = free_port()
     with tempfile.TemporaryDirectory(prefix="dask", ignore_cleanup_errors=True) as folder:
         address = f"tcp://127.0.0.1:{port}"

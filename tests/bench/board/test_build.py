@@ -142,6 +142,7 @@ def test_serve_answers_on_this_machine(board: Path, run_cli: RunCli, monkeypatch
     assert served["address"] == "127.0.0.1"
 
 
+@pytest.mark.slow
 def test_the_committed_board_is_what_its_entries_say() -> None:
     leaderboard = Path(__file__).parents[3] / "leaderboard"
     assert check_board(leaderboard) == []  # else run: xmarl-bench board build

@@ -14,7 +14,6 @@ import pytest
 import torch
 from torch import Tensor, nn
 from torch_geometric.nn import GATv2Conv
-from torchrl.modules import MultiAgentMLP, NormalParamExtractor
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.recipes import recipe_for
 from xmarl_baselines.training.trainer import Run, build
@@ -90,6 +89,8 @@ class TorchRLActor(nn.Module):
     """As BenchMARL puts an actor together: a graph layer, TorchRL's own MLP for all agents, its own head."""
 
     def __init__(self) -> None:
+        from torchrl.modules import MultiAgentMLP, NormalParamExtractor  # a second, for this test alone
+
         super().__init__()
         self.gnns = nn.ModuleList([GATv2Conv(6, 8)])
         self.mlp = MultiAgentMLP(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from pathlib import Path
 from types import ModuleType
 
@@ -58,6 +59,7 @@ def test_packages_of_the_harness_import_from_lower_floors_only() -> None:
                 assert floor_of[other] < floor_of[own], f"{file} imports {name}"
 
 
+@functools.cache
 def modules_imported(file: Path) -> set[str]:
     """Full names of the modules that a file imports from, inside functions too."""
     names = set()

@@ -24,6 +24,7 @@ def test_the_harness_names_no_explainer_or_policy_of_the_baselines() -> None:
                 assert name not in text, f"{file} names {name}"
 
 
+@pytest.mark.slow
 def test_the_public_api_is_there_and_lazy() -> None:
     for name in xmarl_bench.__all__:
         assert getattr(xmarl_bench, name) is not None

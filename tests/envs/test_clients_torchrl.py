@@ -13,7 +13,7 @@ from pettingzoo.utils import parallel_to_aec
 from xmarl_envs import TASKS, TaskParallelEnv, make_task
 from xmarl_envs.info_at_reset import InfoAtReset
 
-# TorchRL takes a second to import: where a test runs, not where it is collected.
+pytestmark = pytest.mark.slow  # TorchRL takes a second to import: in functions, not where tests are collected
 tasks = pytest.mark.parametrize("name", TASKS)
 
 

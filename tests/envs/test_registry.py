@@ -48,6 +48,7 @@ def test_unknown_tasks_are_refused_by_naming_the_known() -> None:
         make_task("blind_chess_v0")
 
 
+@pytest.mark.slow
 def test_importing_the_environments_is_quiet_and_brings_neither_torch_nor_pygame() -> None:
     code = f"""
 import importlib, sys

@@ -145,6 +145,7 @@ def test_nobody_crosses_the_wall_but_through_the_gap(seed: int, hold: int, drawn
     crossings(seed, hold, drawn)
 
 
+@pytest.mark.slow
 def test_that_property_is_not_empty() -> None:
     assert sum(crossings(seed, 15, 1.5) for seed in range(5)) >= 5
 

@@ -157,6 +157,7 @@ def test_every_check_can_fail(thing: Callable[..., Tensor], check: str, said: st
         torch.set_num_threads(threads)
 
 
+@pytest.mark.slow
 def test_slow_explainers_that_say_so_are_let_pass() -> None:
     assert failed(slow, "time per timestep", slow=True) == {}
 
@@ -177,6 +178,7 @@ def test_memory_is_measured_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None
     assert nothing < 5
 
 
+@pytest.mark.slow
 def test_settings_kept_on_a_class_of_pyg_are_no_business_of_the_policy() -> None:
     algorithm = as_explainer(GraphMaskExplainer(1, epochs=1, log=False))
     assert (

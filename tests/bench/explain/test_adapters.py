@@ -291,6 +291,7 @@ def test_explainers_go_to_worker_processes(thing: object) -> None:
     assert torch.equal(run_explainer(again, POLICY, OBSERVATIONS, 1), expected)
 
 
+@pytest.mark.slow
 def test_what_was_brought_is_known_by_its_source(make_bundle: MakeBundle) -> None:
     for thing in (attended, Tempered, Tempered(), Tempered().explain):
         origin = origin_of_explainer(as_explainer(thing))

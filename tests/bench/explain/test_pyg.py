@@ -82,6 +82,7 @@ def test_a_row_explained_for_its_agent_alone_depends_on_that_agent_alone() -> No
     assert bool((mask > 0).all())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
 @pytest.mark.parametrize("method", CAPTUM)
 def test_captum_is_asked_about_the_sum_of_effects(method: str, residual: bool) -> None:

@@ -23,7 +23,9 @@ from xmarl_bench.parallel.fan_out import AHEAD, Failure, WorkerDiedError, fan_ou
 from xmarl_bench.parallel.workers import BackendName, Workers
 
 TWO = Workers(2)
-BOTH = pytest.mark.parametrize("workers", [Workers(), TWO], ids=["here", "two"])
+BOTH = pytest.mark.parametrize(
+    "workers", [pytest.param(Workers(), id="here"), pytest.param(TWO, id="two", marks=pytest.mark.slow)]
+)
 
 
 @BOTH
@@ -34,6 +36,7 @@ def test_every_unit_comes_back_once_with_its_index(workers: Workers) -> None:
     assert list(in_order(units_of_work.square, range(28), workers=workers)) == [k * k for k in range(28)]
 
 
+@pytest.mark.slow
 def test_one_process_is_this_one_and_two_are_two_others(tmp_path: Path) -> None:
     assert {pid for _, pid in fan_out(units_of_work.process, range(3))} == {os.getpid()}
     units = [str(tmp_path)] * 20
@@ -42,6 +45,7 @@ def test_one_process_is_this_one_and_two_are_two_others(tmp_path: Path) -> None:
     assert os.getpid() not in pids
 
 
+@pytest.mark.slow
 def test_a_worker_computes_with_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     for _, seen in fan_out(units_of_work.threads, range(4), workers=TWO):
@@ -56,6 +60,7 @@ def test_others_may_use_loky_before_and_after() -> None:
         assert dict(fan_out(units_of_work.square, [k, k], workers=TWO)) == {0: k * k, 1: k * k}
 
 
+@pytest.mark.slow
 def test_one_that_ends_early_costs_another_nothing(tmp_path: Path) -> None:
     """Both use the same workers, which the end of one kills; the other's units are tried again."""
 
@@ -73,6 +78,7 @@ def test_one_that_ends_early_costs_another_nothing(tmp_path: Path) -> None:
     assert sorted(returned) == [(k, k * k) for k in range(9)]
 
 
+@pytest.mark.slow
 def test_no_long_answer_waits_in_the_pipe_that_workers_share() -> None:
     """A worker killed in the middle of one would leave the main process waiting for the rest of it."""
     with connected(TWO) as backend:
@@ -125,6 +131,7 @@ def test_a_unit_that_raises_stops_no_other(workers: Workers) -> None:
         assert "units_of_work.py" in failure.traceback  # where it happened, on whichever worker
 
 
+@pytest.mark.slow
 def test_what_cannot_be_sent_fails_alone() -> None:
     units = [units_of_work.Unpicklable(), units_of_work.Unloadable(), 4, 6]
     returned = dict(fan_out(units_of_work.fail, units, workers=TWO))
@@ -257,6 +264,7 @@ def test_a_backend_that_is_not_installed_is_said(
         list(fan_out(units_of_work.square, [1], workers=Workers(2, backend)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("backend", "client"), [("ray", "ray.init"), ("dask", "distributed.Client")])
 @pytest.mark.parametrize(
     ("address", "said"), [("127.0.0.1:9", "no {} cluster answers at"), ("head", "is invalid")]

@@ -15,6 +15,7 @@ from xmarl_bench.plugins.new_package import TEMPLATES
 CONFIG = Path(__file__).parents[3] / "pyproject.toml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["explainer", "policy"])
 def test_files_are_complete_and_well_formed(kind: str, run_cli: RunCli, tmp_path: Path) -> None:
     folder = tmp_path / "package"

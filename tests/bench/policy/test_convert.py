@@ -104,6 +104,7 @@ class TorchRLActor(nn.Module):
         return loc, scale
 
 
+@pytest.mark.slow
 def test_an_actor_of_torchrl(tmp_path: Path, run_cli: RunCli) -> None:
     torch.manual_seed(0)
     actor = TorchRLActor()

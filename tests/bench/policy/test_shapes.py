@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -63,6 +64,7 @@ def test_layers(
     assert weight_shapes(architecture) == built(LayeredNetwork, architecture)
 
 
+@pytest.mark.slow
 def test_torch_is_not_waited_for() -> None:
     code = (
         "import sys, xmarl_bench.policy.bundle;"

@@ -66,6 +66,7 @@ def test_a_gif_shows_the_episode_at_twice_real_time(tmp_path: Path) -> None:
         assert wrong(frames[cycle][0], expected(recording, cycle)) < 0.2 * wrong(frames[cycle][0], other)
 
 
+@pytest.mark.slow
 def test_long_episodes_show_every_so_many_steps_in_a_gif(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -109,6 +110,7 @@ def test_an_mp4_holds_every_step(tmp_path: Path) -> None:
         assert wrong(frames[cycle], expected(recording, cycle)) < 0.2 * wrong(frames[cycle], other)
 
 
+@pytest.mark.slow
 def test_a_png_shows_six_moments(tmp_path: Path) -> None:
     recording = recorded(30)
     assert write_animation(recording, tmp_path / "a.png").frames == 6
@@ -144,7 +146,7 @@ def test_an_avif_is_small_and_shows_few_frames(tmp_path: Path) -> None:
         assert wrong(shown[k], near) < 0.3 * wrong(shown[k], far)
 
 
-@pytest.mark.parametrize("suffix", ["gif", "avif", "mp4", "png"])
+@pytest.mark.parametrize("suffix", ["gif", "avif", pytest.param("mp4", marks=pytest.mark.slow), "png"])
 def test_an_episode_of_one_step(suffix: str, tmp_path: Path) -> None:
     assert write_animation(recorded(1), tmp_path / f"a.{suffix}").frames == 2
 
@@ -194,6 +196,7 @@ def test_render_on_the_command_line(run_cli: RunCli, make_bundle: MakeBundle, tm
     assert [path.name for path in out.parent.iterdir()] == ["episode.gif"]
 
 
+@pytest.mark.slow
 def test_without_a_policy_the_heuristic_plays(run_cli: RunCli, tmp_path: Path) -> None:
     out = tmp_path / "a.png"
     ran = run_cli("render", "--task", "blind_navigation_v0", "--out", out)

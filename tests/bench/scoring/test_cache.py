@@ -103,6 +103,7 @@ def test_the_temporary_file_of_a_killed_writer_is_one_of_them(tmp_path: Path) ->
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_two_runs_do_not_write_into_one_folder(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from xmarl_bench.records.files import locked\n"

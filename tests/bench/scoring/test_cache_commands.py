@@ -30,6 +30,7 @@ def assert_refused(ran: Ran, said: str) -> None:
     assert said in ran.err
 
 
+@pytest.mark.slow
 def test_two_sweeps_into_one_folder(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
     with locked(out):
         assert_refused(score(run_cli, make_bundle(), out), f"another run is writing to {out}")
@@ -66,6 +67,7 @@ def test_a_cache_that_cannot_be_written(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
     assert_refused(run_cli("status"), "no run is known")
     assert score(run_cli, make_bundle(), out).code == 0
@@ -84,6 +86,7 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
     assert_refused(run_cli("status", out / "elsewhere"), "no run is known")
 
 
+@pytest.mark.slow
 def test_a_cache_is_seen_and_emptied(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path
 ) -> None:

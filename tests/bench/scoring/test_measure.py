@@ -51,7 +51,8 @@ def controls_of(result: Measured) -> dict[str, ExplanationRow]:
 
 
 def values_of(explainer: Explainer, seed: int = 0, episode_seed: int = 7) -> ExplanationRow:
-    explained = measured(explainer, seed=seed, episode_seed=episode_seed).explained[explainer.name]
+    unit = Unit(small_policy(6), (explainer,), episode(episode_seed), seed, None, sanity=False, shared=False)
+    explained = unit.run().explained[explainer.name]
     assert isinstance(explained, Explained)
     return explained.row
 

@@ -129,6 +129,7 @@ def test_every_entry_carries_the_controls_on_the_same_states(make_bundle: MakeBu
     assert cell.controls["inverted"].fid_delta.value == pytest.approx(inverse, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_what_is_not_measured_says_why(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
 

@@ -214,6 +214,7 @@ def test_published_schemas_are_those_of_the_code() -> None:
         assert published == schema(model), "run `python -m xmarl_bench.submission.schema leaderboard`"
 
 
+@pytest.mark.slow
 def test_the_shipped_board_holds_valid_entries_only() -> None:
     paths = sorted((ROOT / "leaderboard" / "entries").glob("*.json"))
     assert paths

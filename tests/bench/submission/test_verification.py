@@ -150,6 +150,7 @@ def test_a_swapped_policy_is_found(
     assert any("the rerun gives" in finding for finding in of_bundle(path, tampered, SPOT).findings)
 
 
+@pytest.mark.slow
 def test_changed_seeds_are_found(files: Mapping[str, bytes], entries: list[Entry], pack: Pack) -> None:
     def other_list(value: dict[str, Any]) -> None:
         seeds = [seed + 10 for seed in value["protocol"]["seeds"]]
@@ -174,6 +175,7 @@ def test_changed_seeds_are_found(files: Mapping[str, bytes], entries: list[Entry
     assert of_bundle(path, renamed, SPOT).findings != ()
 
 
+@pytest.mark.slow
 def test_a_sign_off_is_a_block_of_its_own(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack, tmp_path: Path, run_cli: RunCli
 ) -> None:

@@ -7,6 +7,8 @@ import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
+import pytest
+
 from xmarl_bench.records.files import write_atomically
 
 WORKFLOW = Path(__file__).parents[3] / ".github" / "workflows" / "submission.yml"
@@ -38,6 +40,7 @@ def test_it_may_read_and_nothing_else() -> None:
     assert all("${{" not in re.split(r"\n {6}- ", run)[0] for run in runs)  # nothing is pasted into a shell
 
 
+@pytest.mark.slow
 def test_bundles_of_a_pull_request_are_found(tmp_path: Path, files: Mapping[str, bytes]) -> None:
     base, head = tmp_path / "base", tmp_path / "head"
     base.mkdir()

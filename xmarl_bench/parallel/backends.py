@@ -5,6 +5,7 @@ Each is one `submit(function, *args) -> concurrent.futures.Future`, through publ
 
 from __future__ import annotations
 
+import functools
 import logging
 import os
 import shutil
@@ -86,15 +87,18 @@ def _loky(workers: Workers) -> Iterator[Backend]:
 
     def pool() -> Any:
         """Another one if a worker died: loky then ends the others."""
-        return get_reusable_executor(
+        _pools[os.getpid()] = get_reusable_executor(
             n_workers, timeout=IDLE_SECONDS, env=ONE_THREAD, initializer=_end_with, initargs=(os.getpid(),)
         )
+        return _pools[os.getpid()]
 
     def submit(function: Callable[..., Any], *args: object) -> Any:
         try:
-            return pool().submit(_by_file, folder, function, *args)
+            future = pool().submit(_by_file, folder, function, *args)
         except deaths:  # in this very moment
-            return pool().submit(_by_file, folder, function, *args)
+            future = pool().submit(_by_file, folder, function, *args)
+        _kill_workers_at_exit()
+        return future
 
     def kill(_: object) -> None:
         pool().shutdown(wait=True, kill_workers=True)
@@ -103,6 +107,25 @@ def _loky(workers: Workers) -> Iterator[Backend]:
         # Loky replaces a worker whose memory has grown by 300 MB, between two units: that loses nothing.
         warnings.filterwarnings("ignore", message="A worker (stopped|was restarted) while some jobs")
         yield Backend(submit, kill, deaths, n_workers)
+
+
+_pools: dict[int, Any] = {}  # loky's, by the process that uses it: a fork has none
+
+
+@functools.cache
+def _kill_workers_at_exit() -> None:
+    """Kill them before loky waits for each to end by itself.
+
+    A worker that is killed while it takes a unit keeps the lock of the queue. At the end of the program loky
+    no longer looks for the dead, and the others wait for that lock for ever.
+    """
+
+    def kill() -> None:
+        if (pool := _pools.get(os.getpid())) is not None:
+            pool.shutdown(wait=True, kill_workers=True)
+
+    # As loky does when it is first given work: what is registered last is called first.
+    threading._register_atexit(kill)  # type: ignore[attr-defined]
 
 
 _folders: set[str] = set()  # of answers, that this worker has been told of

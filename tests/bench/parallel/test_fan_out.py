@@ -195,7 +195,8 @@ def test_a_worker_killed_from_outside_costs_nothing() -> None:
 
 
 SCRIPT = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 from tests.helpers import units_of_work
 from xmarl_bench.parallel.fan_out import fan_out
 from xmarl_bench.parallel.workers import Workers
@@ -231,6 +232,22 @@ def test_workers_end_with_the_main_process(kill: signal.Signals, tmp_path: Path)
     assert "ExecutorManagerThread" not in said  # no quarrel of threads beside it
     if kill == signal.SIGINT:
         assert said.rstrip().endswith("KeyboardInterrupt")
+
+
+STOP = """
+import os, signal
+from tests.helpers import units_of_work
+from xmarl_bench.parallel.fan_out import fan_out
+from xmarl_bench.parallel.workers import Workers
+for pid in {pid for _, pid in fan_out(units_of_work.process, range(8), workers=Workers(2))}:
+    os.kill(pid, signal.SIGSTOP)
+"""
+
+
+@pytest.mark.slow
+def test_a_program_ends_though_a_worker_cannot() -> None:
+    """As one that waits for the lock of another which was killed."""
+    assert subprocess.run([sys.executable, "-c", STOP], timeout=DEADLINE, check=False).returncode == 0
 
 
 def _read(pipe: int, otherwise: str) -> bytes:

@@ -32,6 +32,7 @@ MARKED = {
     "bench/parallel/test_clusters.py": "cluster",
     "benchmarks": "benchmark",
 }
+KILLS_WORKERS = TESTS / "bench/parallel/test_fan_out.py"
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -61,13 +62,16 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks folders. Files with slow tests first, so that no process waits long for the other's last file."""
+    """Marks folders. Files with slow tests first, so that no process waits long for the other's last file.
+
+    Before all, the file that kills workers: what others' workers have imported by then, they keep.
+    """
     for item in items:
         for folder, mark in MARKED.items():
             if item.path.is_relative_to(TESTS / folder):
                 item.add_marker(mark)
     slow = {item.path for item in items if any(map(item.get_closest_marker, {"slow", *MARKED.values()}))}
-    items.sort(key=lambda item: item.path not in slow)
+    items.sort(key=lambda item: (item.path != KILLS_WORKERS, item.path not in slow))
     gc.freeze()  # what was imported stays: the collector need not walk through it again
 
 

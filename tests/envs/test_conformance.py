@@ -15,7 +15,6 @@ from pettingzoo import ParallelEnv
 from xmarl_envs import (
     TASKS,
     BlindNavigation,
-    BlindPassage,
     Layout,
     Outcome,
     State,
@@ -35,18 +34,22 @@ RETURN = tuple[
 ]  # of `step`
 
 
-@pytest.mark.parametrize(("name", "n_agents"), [*((name, 5) for name in TASKS), ("blind_passage_v0", 1)])
-def test_our_tasks_conform(name: str, n_agents: int) -> None:
-    check_task(TASKS[name], n_agents=n_agents)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("blind_navigation_v0", {"n_agents": 5}),
+        ("blind_passage_v0", {"n_agents": 5, "shared_reward": True, "seed": 3}),
+        ("blind_passage_v0", {"n_agents": 1}),
+        ("blind_discovery_v0", {"n_agents": 5}),
+    ],
+)
+def test_our_tasks_conform(name: str, options: dict[str, Any]) -> None:
+    check_task(TASKS[name], **options)
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_the_episodes_that_are_compared_are_crowded_ones(name: str) -> None:
     assert play(VectorEnv(make_task(name, 5)), seed=0)[1] > 20
-
-
-def test_options_are_handed_on() -> None:
-    check_task(BlindPassage, seed=3, n_agents=3, shared_reward=True)
 
 
 class Pursuit(ParallelEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # no py.typed in pettingzoo

@@ -89,16 +89,9 @@ def test_bad_input_is_refused(
     assert refused.value.code == 2
     printed = capsys.readouterr()
     assert (said in printed.err, printed.out) == (True, "")
+    assert printed.err.startswith("xmarl-train: ")
+    assert len(printed.err.splitlines()) == 1
     assert not (tmp_path / "runs").exists()
-
-
-def test_in_a_process_of_its_own(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "xmarl_baselines.training.command", "--out", "runs", "--task", "chess"]
-    refused = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert refused.returncode == 2
-    assert refused.stderr.startswith("xmarl-train: unknown task 'chess'")
-    assert len(refused.stderr.splitlines()) == 1
-    assert not list(tmp_path.iterdir())
 
 
 def test_reference_runs_have_the_names_of_their_settings() -> None:

@@ -20,7 +20,7 @@ from tests.conftest import MakeBundle, RunCli
 from tests.helpers.example_plugins import BAD
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench import as_explainer
-from xmarl_bench.checks import Finding, run_checks
+from xmarl_bench.checks import Finding, explainer_checks, run_checks
 from xmarl_bench.checks.explainer_checks import CHECKS, ExplainerSubject
 from xmarl_bench.checks.peak_memory import peak_memory
 from xmarl_bench.explain.explainer import Explainer
@@ -121,6 +121,12 @@ def by_position(observations: Tensor, policy: Policy) -> Tensor:
     return policy.attention(observations) * torch.linspace(0.5, 1, len(observations))[:, None, None]
 
 
+@pytest.fixture
+def few_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve timesteps are timed, not a hundred: `slow` waits for each."""
+    monkeypatch.setattr(explainer_checks, "TIMED_TIMESTEPS", 12)
+
+
 def slow(observations: Tensor, policy: Policy) -> Tensor:
     until = time.process_time() + 0.025 * len(observations)
     while time.process_time() < until:
@@ -148,6 +154,7 @@ def slow(observations: Tensor, policy: Policy) -> Tensor:
         (slow, "time per timestep", "declare slow = True"),
     ],
 )  # fmt: skip
+@pytest.mark.usefixtures("few_timed")
 def test_every_check_can_fail(thing: Callable[..., Tensor], check: str, said: str) -> None:
     threads = torch.get_num_threads()
     try:

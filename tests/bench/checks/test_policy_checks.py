@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 from torch_geometric.nn import GATv2Conv
+from xmarl_envs import BlindNavigation
 
 from tests.bench.policy.test_layers import CARD, GAT2, random_policy, record
 from tests.conftest import RunCli
@@ -110,8 +111,9 @@ def test_weights_that_are_none_are_found() -> None:
 
 
 @pytest.mark.slow
-def test_on_the_command_line(tmp_path: Path, run_cli: RunCli) -> None:
+def test_on_the_command_line(tmp_path: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch) -> None:
     """Deep, on a graph that is not complete, and untrained: only the last is a failure."""
+    monkeypatch.setattr(BlindNavigation, "default_max_cycles", 40)
     policy: Any = random_policy(record(GAT2, graph={"kind": "radius", "radius": 1.0}))
     save_policy(tmp_path / "deep", policy, name="deep", **CARD)
     ran = run_cli("check", "policy", tmp_path / "deep", "--timesteps", 4, "--episodes", 2, "--json")

@@ -10,6 +10,7 @@ import pytest
 
 from tests.helpers.made_entries import ARCHITECTURE, made_entry
 from xmarl_bench.entry.schema import Entry
+from xmarl_bench.papers.kailas2025 import figures
 from xmarl_bench.papers.kailas2025.claims import GNN
 from xmarl_bench.papers.kailas2025.figures import INK, draw
 from xmarl_bench.papers.kailas2025.output import write_study
@@ -53,8 +54,11 @@ def data() -> StudyData:
 
 @pytest.fixture(scope="module")
 def written(data: StudyData, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With figures of two metrics: one takes half a second."""
     folder = tmp_path_factory.mktemp("study")
-    write_study(folder, data)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "METRICS", ("fid_delta", "gef"))
+        write_study(folder, data)
     return folder
 
 

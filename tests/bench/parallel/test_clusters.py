@@ -40,7 +40,7 @@ def workers(request: pytest.FixtureRequest) -> Workers:
 def test_two_processes_compute(workers: Workers, tmp_path: Path) -> None:
     units = [str(tmp_path)] * 30
     pids = {pid for _, pid in fan_out(units_of_work.process_beside_another, units, workers=workers)}
-    assert len(pids) == 2
+    assert len(pids) >= 2  # a cluster may replace one
 
 
 def test_results_are_those_of_one_process_though_a_worker_was_killed(

@@ -37,8 +37,7 @@ def bytes_of(entry: Entry) -> bytes:
 def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make_bundle: MakeBundle) -> None:
     folder = make_bundle(task)
     runs = [
-        score(folder, "random", episodes=3, max_cycles=20, parallel_episodes=width)
-        for width in (50, 50, 1, 2)
+        score(folder, "random", episodes=3, max_cycles=20, parallel_episodes=width) for width in (50, 1, 2)
     ]
     assert len({bytes_of(entry) for entry in runs}) == 1
     assert runs[0].results[0].episodes[0].timesteps == 20

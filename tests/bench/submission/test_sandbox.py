@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,7 +49,7 @@ def fit(policy, observations, generator):
         if what == 8:
             return "not a mask"
         if what == 9:
-            time.sleep(60)
+            time.sleep(3600)
         if what == 10:
             os._exit(3)
         return mask
@@ -115,10 +114,8 @@ def test_masks_are_the_same_and_harm_is_one_sentence(
                 doing(10)
         else:
             sandbox.limits = replace(sandbox.limits, answer_seconds=1.0)
-            started = time.monotonic()
             with pytest.raises(InputError, match="did not answer within 1 s"):
-                doing(9)
-            assert time.monotonic() - started < 30
+                doing(9)  # which sleeps for an hour
         assert sandbox.process is None
         with pytest.raises(InputError, match="ended"):
             doing(0)

@@ -89,9 +89,21 @@ def test_bad_input_is_refused(
     assert refused.value.code == 2
     printed = capsys.readouterr()
     assert (said in printed.err, printed.out) == (True, "")
-    assert printed.err.startswith("xmarl-train: ")
-    assert len(printed.err.splitlines()) == 1
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_refusal_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["xmarl-train", "--out", "runs", "--task", "chess"])
+    with pytest.raises(SystemExit) as refused:
+        main()
+    assert refused.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("xmarl-train: unknown task 'chess'")
+    assert len(said.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_reference_runs_have_the_names_of_their_settings() -> None:

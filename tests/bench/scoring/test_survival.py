@@ -65,7 +65,7 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sweep]:
         "--episodes",
         "12",
         "--max-cycles",
-        "4",
+        "12",
     ]
     for seed, name in enumerate(("one", "two")):
         policy = small_policy(len(TASKS[TASK].observation_names), seed)

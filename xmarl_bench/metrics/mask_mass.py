@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 def mask_mass(mask: NDArray[np.floating], edges: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
     """(..., N, N) -> (...): the mean of the mask over all edges, the agents' own among them.
 
-    edges: (..., N, N), which ones the graph has; None is all.
+    edges: (..., N, N), which ones the graph has; None is all. NaN where it has none.
     """
     kept = mask.astype(np.float64)
-    return np.asarray(kept.mean(axis=(-2, -1)) if edges is None else kept.mean(axis=(-2, -1), where=edges))
+    if edges is None:
+        return np.asarray(kept.mean(axis=(-2, -1)))
+    count = edges.sum(axis=(-2, -1))
+    total = kept.sum(axis=(-2, -1), where=edges)
+    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))

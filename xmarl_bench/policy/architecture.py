@@ -103,7 +103,7 @@ class LayeredArchitecture(_Record):
             len(self.layers) == 1
             and (layer.conv, layer.heads) == ("GATv2Conv", 1)
             and (self.distribution, self.scale) == ("tanh_normal", "softplus")
-            and isinstance(self.graph, CompleteGraph)
+            and self.graph == CompleteGraph()
         )
         if not fits:
             return None

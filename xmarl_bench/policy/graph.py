@@ -1,7 +1,8 @@
 """Who can hear whom: the graph a policy passes its messages on, as data and as edges.
 
-Every agent hears itself, so the loops i -> i are edges of every graph. A mask speaks of a policy's own edges
-only: where there is no edge nothing can be kept or dropped, and what a mask holds there counts for nothing.
+Every agent hears itself, by a loop i -> i, unless a graph has no `loops`. A mask speaks of a policy's own
+edges only: where there is no edge nothing can be kept or dropped, and what a mask holds there counts for
+nothing.
 
 The records are read without torch, which is imported where edges are made of them.
 
@@ -26,6 +27,10 @@ Agent = Annotated[int, Field(ge=0, lt=MAX_AGENTS)]
 class _Graph(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
+    # Whether every agent hears itself. Not written where it is True: records from before it was a field keep
+    # their hash.
+    loops: Annotated[bool, Field(exclude_if=lambda loops: loops)] = True
+
 
 class CompleteGraph(_Graph):
     """Everyone hears everyone."""
@@ -36,11 +41,12 @@ class CompleteGraph(_Graph):
         """Any team will do."""
 
     def adjacency(self, observation: Tensor) -> Tensor:
-        """(S, N, D) -> (S, N, N) of True."""
+        """(S, N, D) -> (S, N, N) of True, but for the loops where there are none."""
         import torch
 
         n_steps, n_agents, _ = observation.shape
-        return torch.ones(n_steps, n_agents, n_agents, dtype=torch.bool)
+        between = ~torch.eye(n_agents, dtype=torch.bool)
+        return (between | self.loops).expand(n_steps, -1, -1)
 
 
 class RadiusGraph(_Graph):
@@ -65,15 +71,19 @@ class RadiusGraph(_Graph):
 
         position = observation[..., list(self.position)].detach()
         distance = (position[:, :, None] - position[:, None, :]).square().sum(dim=-1).sqrt()
-        return (distance <= self.radius) | torch.eye(observation.shape[1], dtype=torch.bool)
+        own = torch.eye(observation.shape[1], dtype=torch.bool)
+        return (distance <= self.radius) | own if self.loops else (distance <= self.radius) & ~own
 
 
 class FixedGraph(_Graph):
-    """A given adjacency, for teams of one size: the same edges at every timestep."""
+    """A given adjacency, for teams of one size: the same edges at every timestep.
+
+    Without `loops` it has the edges given and no others.
+    """
 
     kind: Literal["fixed"] = "fixed"
     n_agents: Annotated[int, Field(ge=1, le=MAX_AGENTS)]
-    # (sender, receiver), loops may be left out.
+    # (sender, receiver). With `loops`, those may be left out.
     edges: Annotated[tuple[tuple[Agent, Agent], ...], Field(max_length=65536)]
 
     def check(self, n_agents: int, obs_dim: int) -> None:
@@ -96,7 +106,7 @@ class FixedGraph(_Graph):
 
         n_steps, n_agents, obs_dim = observation.shape
         self.check(n_agents, obs_dim)
-        matrix = torch.eye(n_agents, dtype=torch.bool)
+        matrix = torch.eye(n_agents, dtype=torch.bool) & self.loops
         for sender, receiver in self.edges:
             matrix[receiver, sender] = True
         return matrix.expand(n_steps, -1, -1)

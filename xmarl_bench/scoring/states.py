@@ -213,7 +213,7 @@ class States:
             "fid_delta": fid.delta.mean(),
             "gef": graph_explanation_unfaithfulness(kl).mean(),
             "median_kl": np.median(kl),
-            "mask_mass": mask_mass(mask.numpy(), self.edges).mean(),
+            "mask_mass": self._mass(mask.numpy()),
             "topk_fid_delta": all_edges.mean,
             "budgeted_fidelity": all_edges.budgeted,
             "comm_fid_plus": comm.plus.mean(),
@@ -229,6 +229,11 @@ class States:
             "smallest_message_fidelity": smallest,
         }
         return ExplanationRow.model_validate({name: number(value) for name, value in values.items()})
+
+    def _mass(self, senders: NDArray[np.floating]) -> float:
+        """Over the timesteps at which the graph has an edge at all."""
+        mass = mask_mass(senders, self.edges)
+        return math.nan if np.isnan(mass).all() else float(np.nanmean(mass))
 
     @torch.no_grad()
     def policy_metrics(self) -> PolicyRow:

@@ -19,7 +19,8 @@ from xmarl_bench.policy import Policy
 def attention_rowmax_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N), the largest entry of every row is 1."""
     alpha = attention_mask(policy, observations, generator)
-    return alpha / alpha.amax(dim=-1, keepdim=True)
+    largest = alpha.amax(dim=-1, keepdim=True)
+    return alpha / torch.where(largest > 0, largest, 1.0)  # a receiver without edges has a row of zeros
 
 
 attention_rowmax = Explainer(

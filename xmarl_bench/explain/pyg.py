@@ -27,7 +27,7 @@ from xmarl_bench.policy import Policy
 class PygExplain:
     """An `Explain` callable (see xmarl_bench.explain.explainer) made of a PyG algorithm.
 
-    The graph is the policy's own, its edges in the order of our mask.
+    The graph is the policy's own, its edges in the order in which its layers receive them.
 
     algorithm: makes a fresh algorithm object.
     effect: explain the sum over agents of e_i (xmarl_bench.explain.effect), the single number that
@@ -64,7 +64,9 @@ class PygExplain:
     def _explain(self, policy: Policy, x: Tensor, seed: int) -> Tensor:
         """(N, D) observations of one timestep -> (N, N)."""
         torch.manual_seed(seed)
-        edge_index = policy.edges(x)
+        edge_index = policy.layer_edges(x)
+        if edge_index.numel() == 0:  # several algorithms take the minimum over edges
+            return x.new_zeros(len(x), len(x))
         if not self.per_agent:
             return self._explanation(policy, x, edge_index, None)
         return torch.stack([self._explanation(policy, x, edge_index, i)[i] for i in range(len(x))])
@@ -106,7 +108,7 @@ class PygFit:
             algorithm, model = self.algorithm(), _private(policy)
             assert isinstance(algorithm, PGExplainer)
             _connect(model, algorithm, "node", "phenomenon")
-            graphs = [(x.clone(), policy.edges(x)) for x in observations]
+            graphs = [(x.clone(), policy.layer_edges(x)) for x in observations]
             targets = [model(x, edge_index).detach() for x, edge_index in graphs]
             for epoch in range(algorithm.epochs):
                 for (x, edge_index), target in zip(graphs, targets, strict=True):
@@ -128,7 +130,7 @@ class TrainedPG:
         explainer = _connect(model, copy.deepcopy(self.algorithm), "node", "phenomenon")
         masks = []
         for x in observations:
-            edge_index = policy.edges(x)
+            edge_index = policy.layer_edges(x)
             with torch.no_grad():
                 target = model(x, edge_index)
             rows = [_matrix(explainer(x, edge_index, target=target, index=i))[i] for i in agents]

@@ -24,6 +24,7 @@ from xmarl_bench.policy.architecture import (
     CodeArchitecture,
     LayeredArchitecture,
 )
+from xmarl_bench.policy.graph import FixedGraph
 from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS, check_weights, read_member
 from xmarl_bench.records.field_types import Agents, Name, Sha256
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from xmarl_bench.policy.build import LayeredPolicy
     from xmarl_bench.policy.network import GraphPolicy
 
+LARGEST_TEAM_TRIED = 8  # agents: nothing in a bundle knows their number, so more would only take longer
 Weights = dict[str, NDArray[np.float32]]
 
 
@@ -95,14 +97,21 @@ def load_policy(
 
 
 def build(card: PolicyCard, weights: Weights) -> GraphPolicy | LayeredPolicy:
-    """The network of a card and of weights that were parsed for it, in evaluation mode."""
+    """The network of a card and of weights that were parsed for it, in evaluation mode.
+
+    Raises InputError where masks do not land on their edges, which only an error of ours could bring about.
+    """
     import torch
 
     from xmarl_bench.policy.build import build_policy
+    from xmarl_bench.policy.interventions import check_interventions, random_teams
 
-    return build_policy(
-        closed(card.architecture), {name: torch.tensor(array) for name, array in weights.items()}
-    )
+    architecture = closed(card.architecture)
+    policy = build_policy(architecture, {name: torch.tensor(array) for name, array in weights.items()})
+    graph = architecture.graph
+    n_agents = graph.n_agents if isinstance(graph, FixedGraph) else min(card.n_agents, LARGEST_TEAM_TRIED)
+    check_interventions(policy, random_teams(2, n_agents, architecture.obs_dim))
+    return policy
 
 
 def parse_card(data: bytes, where: str) -> PolicyCard:

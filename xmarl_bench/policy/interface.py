@@ -18,7 +18,7 @@ from xmarl_bench.policy.graph import CompleteGraph, Graph, complete_graph, edge_
 
 
 class Policy(nn.Module, ABC):
-    """A policy shared by all agents of a team, on a graph with self loops.
+    """A policy shared by all agents of a team, on a graph.
 
     `GraphPolicy` computes one attention layer on the complete graph in closed form and fast; `ModulePolicy`
     takes any network of torch_geometric layers, on any graph. Both give the same numbers where both apply.
@@ -50,17 +50,28 @@ class Policy(nn.Module, ABC):
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers.
 
-        0 where the graph has no edge. Raises InputError where no layer attends.
+        0 where the graph has no edge, so a receiver without edges has a row of zeros. Raises InputError
+        where no layer attends.
         """
 
     def adjacency(self, observation: Tensor) -> Tensor | None:
-        """(S, N, D) -> (S, N, N) bool, [s, i, j] for the edge j -> i; None for the complete graph."""
-        return None if isinstance(self.graph, CompleteGraph) else self.graph.adjacency(observation)
+        """(S, N, D) -> (S, N, N) bool, [s, i, j] for the edge j -> i.
+
+        None for the complete graph with loops.
+        """
+        return None if self.graph == CompleteGraph() else self.graph.adjacency(observation)
 
     def edges(self, x: Tensor) -> Tensor:
         """(N, D) observations of one team -> (2, edges): the graph's, in the order of our mask."""
         adjacency = self.adjacency(x[None])
         return complete_graph(len(x)) if adjacency is None else edge_index_of(adjacency)
+
+    def layer_edges(self, x: Tensor) -> Tensor:
+        """(N, D) -> (2, edges): `edges` in the order in which the network's layers receive them.
+
+        Explainers of torch_geometric know an edge by its place: number k of their masks scales message k.
+        """
+        return self.edges(x)
 
     def distribution(self, observation: Tensor, mask: Tensor | None = None) -> ActionDistribution:
         """(S, N, D) observations -> the action distributions under the mask."""

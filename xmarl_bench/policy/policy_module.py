@@ -19,6 +19,7 @@ from xmarl_bench.origin.references import Origin
 from xmarl_bench.policy.architecture import CodeArchitecture, DistributionKind
 from xmarl_bench.policy.bundle import PolicyCard
 from xmarl_bench.policy.graph import CompleteGraph, Graph
+from xmarl_bench.policy.interventions import check_interventions, random_teams
 from xmarl_bench.policy.module import ModulePolicy
 from xmarl_bench.records.strict_json import first_error
 
@@ -30,7 +31,7 @@ class PolicyModule:
     network: forward(x (n, D), edge_index (2, edges)) -> (n, 2A), for each agent the location of its action's
         Normal and the scale before the biased softplus; (n, A) where `distribution` is "deterministic". The
         rows are agents of one team or of many at once; they may meet in torch_geometric's message-passing
-        layers only, built with add_self_loops=False: every i -> i is among the edges already.
+        layers only, which pass one message for each edge.
     distribution: "tanh_normal", "normal" or "deterministic", see ActionDistribution.
     graph: who can hear whom.
     attention_entropy: weight of the attention-entropy term in training, 0 for none.
@@ -48,8 +49,8 @@ class PolicyModule:
     def open(self, origin: Origin) -> tuple[ModulePolicy, PolicyCard]:
         """The policy with its card, as `load_policy` returns them for a bundle.
 
-        Raises InputError for an unknown task, a network that cannot be masked (see ModulePolicy), and a name,
-        team or distribution that no card takes.
+        Raises InputError for an unknown task, a network that no mask can explain (see ModulePolicy and
+        xmarl_bench.policy.interventions), and a name, team or distribution that no card takes.
         """
         if self.task not in TASKS:
             raise InputError(
@@ -79,8 +80,14 @@ class PolicyModule:
             said, where = first_error(error)
             raise InputError(f"policy {self.name!r} has no valid {where}: {said}.") from None
         policy = ModulePolicy(
-            self.network, obs_dim, action_dim, distribution=self.distribution, graph=self.graph
+            self.network,
+            obs_dim,
+            action_dim,
+            distribution=self.distribution,
+            graph=self.graph,
+            n_agents=self.n_agents,
         )
+        check_interventions(policy, random_teams(2, self.n_agents, obs_dim))
         return policy, card
 
 

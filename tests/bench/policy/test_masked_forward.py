@@ -239,26 +239,6 @@ def test_the_generic_path_leaves_no_trace_and_travels() -> None:
             assert not module._propagate_forward_hooks
 
 
-class TeamMean(nn.Module):
-    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        return (x - x.mean(dim=0))[:, :4]
-
-
-@pytest.mark.parametrize(
-    ("network", "message"),
-    [
-        (GATv2Conv(6, 4), "GATv2Conv adds self loops"),
-        (GATv2Conv(6, 4, add_self_loops=False, flow="target_to_source"), "from target to source"),
-        (GATv2Conv(6, 8, add_self_loops=False), r"\(3, 8\) for 3 agents: return \(3, 4\)"),
-        (TeamMean(), "mixes the graphs of a batch"),
-    ],
-    ids=["own loops", "backwards", "width", "team mean"],
-)
-def test_a_network_that_cannot_be_masked_is_refused(network: nn.Module, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        ModulePolicy(network, 6)
-
-
 def test_a_policy_without_attention_says_so() -> None:
     class Mean(nn.Module):
         def __init__(self) -> None:

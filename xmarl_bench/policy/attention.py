@@ -1,0 +1,58 @@
+"""Where a network's attention is found: what its layers return, or what their messages are weighted by.
+
+A layer of anyone's shows its coefficients in one of torch_geometric's two ways:
+
+- its `forward` takes `return_attention_weights` and then returns `(output, (edge_index, alpha))`, as GATConv,
+  GATv2Conv and TransformerConv do; or
+- its `message` has an argument `alpha`, which `propagate` was called with.
+
+alpha is (edges,) or (edges, heads).
+"""
+
+from __future__ import annotations
+
+import inspect
+from contextlib import ExitStack
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch_geometric.nn import MessagePassing
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy.messages import GivenEdges, followed, layers_of
+
+
+def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
+    """(n, D), (2, edges) row-major -> (edges,): the mean of the coefficients over heads and layers.
+
+    Raises InputError where no layer attends.
+    """
+    given, found = GivenEdges(edge_index, len(x)), list[Tensor]()
+
+    def keep(places: Tensor, alpha: Tensor) -> None:
+        mean = alpha if alpha.dim() == 1 else alpha.flatten(1).mean(dim=1)
+        found.append(torch.empty_like(mean).index_copy(0, places, mean))
+
+    def ask(layer: MessagePassing, args: Any, kwargs: dict[str, Any], output: Any) -> None:
+        """Calls the layer once more, past this hook."""
+        _, (received, alpha) = layer.forward(*args, **{**kwargs, "return_attention_weights": True})
+        keep(given.places(layer, received), alpha)
+
+    asked = [layer for layer in layers_of(network) if _returns_attention(layer)]
+    with ExitStack() as hooks:
+        for layer in asked:
+            hooks.callback(layer.register_forward_hook(ask, with_kwargs=True).remove)
+        with followed(network, edge_index, len(x)) as calls:
+            network(x, edge_index)
+    for call in calls:
+        for alpha in call.alphas:
+            if call.layer not in asked and isinstance(alpha, Tensor):
+                keep(call.places, alpha)
+    if not found:
+        raise InputError(f"{type(network).__name__} has no layer that attends: choose another explainer.")
+    return torch.stack(found).mean(dim=0)
+
+
+def _returns_attention(layer: MessagePassing) -> bool:
+    return "return_attention_weights" in inspect.signature(layer.forward).parameters

@@ -1,0 +1,92 @@
+"""Interventions on a policy's messages: do masks land on the edges they speak of?
+
+Every policy is tried so when it is opened, on random observations and random masks: whatever its network does
+inside, removing the message j -> i may change agent i alone, and agents without messages act on what they
+observe themselves. S is the number of timesteps, N agents, D observation entries.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy.interface import Policy
+
+SAME = 1e-4  # largest difference, absolute and relative, that rounding may explain
+TRIED_AT_ONCE = 2**18  # edges of all teams that are tried side by side
+MAX_TRIED = 64  # messages removed from a team, one at a time
+MAX_AGENTS_TRIED = 8  # whose partners observe something else
+
+
+def random_teams(n_teams: int, n_agents: int, obs_dim: int) -> Tensor:
+    """(n_teams, N, D) observations, always the same."""
+    return torch.randn(n_teams, n_agents, obs_dim, generator=torch.Generator().manual_seed(0))
+
+
+def check_interventions(policy: Policy, observations: Tensor) -> None:
+    """Raises InputError where agents meet other than in messages, or a mask lands on other edges."""
+    with torch.no_grad():
+        check_blind(policy, observations)
+        for x in observations:
+            check_receivers(policy, x)
+
+
+def check_blind(policy: Policy, observations: Tensor) -> None:
+    """(S, N, D). Raises InputError where an agent reacts to others with every message masked."""
+    n_steps, n_agents, _ = observations.shape
+    silent = torch.zeros(n_steps, n_agents, n_agents)
+    here = _answer(policy, observations, silent)
+    for i in range(min(n_agents, MAX_AGENTS_TRIED)):
+        others = observations.flip(0) + 1.0
+        others[:, i] = observations[:, i]
+        changed = _difference(here, _answer(policy, others, silent))[:, i]
+        if bool(changed.any()):
+            raise InputError(
+                f"agent {i} reacts to what others observe with every message masked: let agents meet in "
+                f"message-passing layers only."
+            )
+
+
+def check_receivers(policy: Policy, x: Tensor) -> None:
+    """(N, D). Raises InputError where removing the message j -> i changes another agent than i.
+
+    With one layer the other messages are scaled at random. With several, what i heard goes on from agent to
+    agent, so the other receivers hear nothing.
+    """
+    n_agents, generator = len(x), torch.Generator().manual_seed(1)
+    adjacency = policy.adjacency(x[None])
+    edges = (torch.ones(n_agents, n_agents) if adjacency is None else adjacency[0]).nonzero()
+    n_tried = min(len(edges), MAX_TRIED, max(1, TRIED_AT_ONCE // n_agents**2))
+    if n_tried == 0:
+        return
+    receiver, sender = edges[torch.randperm(len(edges), generator=generator)[:n_tried]].T
+    tried = torch.arange(n_tried)
+    mask = torch.rand(n_tried, n_agents, n_agents, generator=generator)
+    if not policy.row_wise:
+        mask *= torch.nn.functional.one_hot(receiver, n_agents)[:, :, None]
+    removed = mask.clone()
+    removed[tried, receiver, sender] = 0.0
+    repeated = x.expand(n_tried, *x.shape)
+    changed = _difference(_answer(policy, repeated, mask), _answer(policy, repeated, removed))
+    changed[tried, receiver] = False
+    if bool(changed.any()):
+        k, other = changed.nonzero()[0].tolist()
+        raise InputError(
+            f"masking the message {int(sender[k])} -> {int(receiver[k])} changes agent {other}: let layers "
+            f"pass messages from sender to receiver, and agents meet in them only."
+        )
+
+
+def _answer(policy: Policy, observations: Tensor, mask: Tensor) -> Tensor:
+    distribution = policy.distribution(observations.to(_dtype(policy)), mask.to(_dtype(policy)))
+    return torch.cat([distribution.loc, distribution.scale], dim=-1)
+
+
+def _difference(one: Tensor, other: Tensor) -> Tensor:
+    """(..., N, A), twice -> (..., N): which agents act in another way."""
+    return ~torch.isclose(one, other, rtol=SAME, atol=SAME, equal_nan=True).all(dim=-1)
+
+
+def _dtype(policy: Policy) -> torch.dtype:
+    return next((p.dtype for p in policy.parameters()), torch.get_default_dtype())

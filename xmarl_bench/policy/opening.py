@@ -1,0 +1,101 @@
+"""What a network must be so that masks can explain it; tried on random observations before it is a policy.
+
+It answers for any number of teams side by side, each for itself and always the same, and passes one message
+for each edge. That masks then land where they should is for xmarl_bench.policy.interventions to try.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy.interventions import SAME
+from xmarl_bench.policy.messages import Call, followed
+
+REPEATED = 1e-6  # threads may sum in another order
+
+
+class Trial:
+    """A network on two teams' observations (2, N, D), on the edges of each team and of both together."""
+
+    def __init__(
+        self, network: nn.Module, teams: Tensor, edges: tuple[Tensor, Tensor], together: Tensor
+    ) -> None:
+        self.network, self.name = network, type(network).__name__
+        self.teams, self.edges, self.together = teams, edges, together
+        self.calls: list[Call] = []  # of the last run
+
+    def check(self, width: int, holds: str) -> int:
+        """How often messages are passed. Raises InputError for a network that no mask can explain.
+
+        width: numbers to return for each agent, which `holds` describes.
+        """
+        first = self._alone(0)
+        n_calls = len(self.calls)
+        if n_calls == 0:
+            raise InputError(
+                f"{self.name} passes no message through a layer of torch_geometric, so no mask can scale "
+                f"one: let agents meet in MessagePassing layers, not in dense attention or sums over rows."
+            )
+        expected = (self.teams.shape[1], width)
+        if not isinstance(first, Tensor) or tuple(first.shape) != expected:
+            got = f"shape {tuple(first.shape)}" if isinstance(first, Tensor) else f"a {type(first).__name__}"
+            raise InputError(
+                f"{self.name} returned {got} for {expected[0]} agents: return {expected}, {holds}."
+            )
+        if not bool(torch.isfinite(first).all()):
+            raise InputError(
+                f"{self.name} returned NaN or infinity for random observations: look for a division by zero "
+                f"or an overflow."
+            )
+        self._check_repeats(first)
+        beside = self._run(self.teams.flatten(0, 1), self.together)[: len(first)]
+        if not torch.allclose(beside, first, rtol=SAME, atol=SAME):
+            raise InputError(
+                f"{self.name} mixes the graphs of a batch: let agents meet in message-passing layers only."
+            )
+        return n_calls
+
+    def _check_repeats(self, first: Tensor) -> None:
+        """Numbers drawn from torch repeat with its seed; what a network keeps changes with what it saw."""
+        self._alone(1)
+        if _repeats(self._alone(0), first):
+            return
+        here = self._seeded()
+        self._alone(1)
+        if _repeats(self._seeded(), here):
+            raise InputError(
+                f"{self.name} draws random numbers: leave out noise, and dropout that does not end with "
+                f"training."
+            )
+        raise InputError(
+            f"{self.name} keeps a state from call to call, or draws numbers of its own: give the same "
+            f"actions for the same observations."
+        )
+
+    def _seeded(self) -> Tensor:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(0)
+            return self._alone(0)
+
+    def _alone(self, team: int) -> Tensor:
+        return self._run(self.teams[team], self.edges[team])
+
+    def _run(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        try:
+            with torch.no_grad(), followed(self.network, edge_index, len(x)) as self.calls:
+                output: Tensor = self.network(x.clone(), edge_index.clone())
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(
+                f"{self.name} stopped on {len(x)} agents ({type(error).__name__}: {error}): its forward "
+                f"takes (x (n, {x.shape[1]}), edge_index (2, edges)), of one team of {self.teams.shape[1]} "
+                f"or of many."
+            ) from error
+        return output
+
+
+def _repeats(again: Tensor, first: Tensor) -> bool:
+    return torch.allclose(again, first, rtol=REPEATED, atol=REPEATED)

@@ -5,8 +5,14 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
-from xmarl_bench import load_policy
+import torch
+
+from tests.helpers.policies import random_observations
+from xmarl_bench import CompleteGraph, PolicyModule, load_policy
+from xmarl_bench.origin.references import origin_of
+from xmarl_bench.plugins.registry import open_policy
 from xmarl_bench.policy.architecture import MAX_LAYER_WIDTH
 from xmarl_bench.policy.convert import rename
 from xmarl_bench.policy.shapes import MAX_PARAMETERS
@@ -23,6 +29,19 @@ def test_the_bundle_of_the_page_is_made(tmp_path: Path) -> None:
     policy, card = load_policy(tmp_path)
     assert card.name == "mine"
     assert not policy.row_wise
+
+
+def test_the_networks_of_the_page_are_taken(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(blocks("python")[1])
+    policy, card = open_policy(f"{tmp_path}/mine.py:make", trust_code=True)
+    assert card.architecture.graph == CompleteGraph(loops=False)
+    assert policy.row_wise
+    layer: dict[str, Any] = {}
+    exec(compile(blocks("python")[2], "policies.md", "exec", dont_inherit=True), layer)
+    network = layer["MyAttention"]()
+    policy, _ = PolicyModule("mine", network, "blind_navigation_v0", 3).open(origin_of(network))
+    alpha = policy.attention(random_observations(2, 3, 6))
+    torch.testing.assert_close(alpha.sum(dim=-1), torch.ones(2, 3))
 
 
 def test_the_key_map_of_the_page_is_one() -> None:

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch_geometric.explain import AttentionExplainer, GraphMaskExplainer, PGExplainer
+from torch_geometric.nn import GraphConv
 from xmarl_baselines.explainers import batching
 from xmarl_baselines.explainers.attention import attention
 from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
@@ -26,7 +27,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.messages_only import SUFFIX
 from xmarl_bench.explain.pyg import PygExplain
-from xmarl_bench.policy import ModulePolicy, Policy
+from xmarl_bench.policy import ModulePolicy, Policy, RadiusGraph
 
 SHIPPED: list[Explainer] = [
     plugin.load()
@@ -192,6 +193,33 @@ def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer, r
     generic = run_explainer(explainer, ModulePolicy(Opened(policy), 6), observations, 3)
     # Small changes of actions, divided by the largest of a row, show float32's rounding.
     torch.testing.assert_close(fast, generic, rtol=0, atol=1e-4)
+
+
+@pytest.mark.slow
+@each
+def test_agents_that_hear_nobody_get_rows_of_zeros(explainer: Explainer) -> None:
+    policy = one_layer(6)
+    policy.graph = RadiusGraph(radius=1.5, loops=False)
+    observations = random_observations(4, 3, 6)
+    observations[1] += 100.0 * torch.arange(3)[:, None]  # far from one another
+    edges = policy.graph.adjacency(observations)
+    assert not edges[1].any()
+    assert edges.any()
+    mask = run_explainer(explainer, policy, observations, 3)
+    assert not mask[~edges].any()
+
+
+@pytest.mark.slow
+@each
+def test_policies_without_attention_are_explained_by_all_that_need_none(explainer: Explainer) -> None:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        policy = ModulePolicy(GraphConv(6, 4), 6)
+    if explainer.name in ("attention", "attention-rowmax"):
+        with pytest.raises(InputError, match="no layer that attends"):
+            run_explainer(explainer, policy, random_observations(2, 3, 6), 3)
+    else:
+        run_explainer(explainer, policy, random_observations(2, 3, 6), 3)
 
 
 @pytest.mark.slow

@@ -10,12 +10,13 @@ from typing import Any
 import torch
 
 from tests.helpers.policies import random_observations
-from xmarl_bench import CompleteGraph, PolicyModule, load_policy
+from xmarl_bench import CompleteGraph, PolicyModule, load_policy, score
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.plugins.registry import open_policy
 from xmarl_bench.policy.architecture import MAX_LAYER_WIDTH
 from xmarl_bench.policy.convert import rename
 from xmarl_bench.policy.shapes import MAX_PARAMETERS
+from xmarl_bench.submission.consistency import entry_findings
 
 PAGE = (Path(__file__).parents[2] / "docs" / "policies.md").read_text(encoding="utf-8")
 
@@ -36,6 +37,9 @@ def test_the_networks_of_the_page_are_taken(tmp_path: Path) -> None:
     policy, card = open_policy(f"{tmp_path}/mine.py:make", trust_code=True)
     assert card.architecture.graph == CompleteGraph(loops=False)
     assert policy.row_wise
+    entry = score((policy, card), "attention", episodes=1, timesteps=3, max_cycles=4, behaviour_episodes=0)
+    assert entry.policy.trusted_code
+    assert list(entry_findings(entry)) == []
     layer: dict[str, Any] = {}
     exec(compile(blocks("python")[2], "policies.md", "exec", dont_inherit=True), layer)
     network = layer["MyAttention"]()

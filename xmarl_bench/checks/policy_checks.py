@@ -118,8 +118,8 @@ def equivariance(subject: PolicySubject) -> str:
 def blindness(subject: PolicySubject) -> str:
     """Where nobody hears another, an agent's action depends on what it observes itself.
 
-    That is a mask of zeros. (Not the mask of own edges: what an agent gives to its own edge is its share of a
-    softmax over all.)
+    That is a graph of loops alone, and a mask of zeros. (Not the mask of own edges: what an agent gives to
+    its own edge is its share of a softmax over all.)
     """
     if subject.observations.shape[1] < 2:
         raise NotApplicable("needs two agents.")

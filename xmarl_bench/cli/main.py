@@ -56,6 +56,11 @@ def main() -> None:
     except KeyboardInterrupt:
         print("xmarl-bench: stopped; scores that are finished are kept for the next run.", file=sys.stderr)
         raise SystemExit(130) from None
+    finally:
+        if "xmarl_bench.parallel.backends" in sys.modules:  # otherwise there are no workers
+            from xmarl_bench.parallel.backends import end_workers
+
+            end_workers()
 
 
 if __name__ == "__main__":

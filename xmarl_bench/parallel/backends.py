@@ -5,7 +5,6 @@ Each is one `submit(function, *args) -> concurrent.futures.Future`, through publ
 
 from __future__ import annotations
 
-import functools
 import logging
 import os
 import shutil
@@ -94,11 +93,9 @@ def _loky(workers: Workers) -> Iterator[Backend]:
 
     def submit(function: Callable[..., Any], *args: object) -> Any:
         try:
-            future = pool().submit(_by_file, folder, function, *args)
+            return pool().submit(_by_file, folder, function, *args)
         except deaths:  # in this very moment
-            future = pool().submit(_by_file, folder, function, *args)
-        _kill_workers_at_exit()
-        return future
+            return pool().submit(_by_file, folder, function, *args)
 
     def kill(_: object) -> None:
         pool().shutdown(wait=True, kill_workers=True)
@@ -112,20 +109,15 @@ def _loky(workers: Workers) -> Iterator[Backend]:
 _pools: dict[int, Any] = {}  # loky's, by the process that uses it: a fork has none
 
 
-@functools.cache
-def _kill_workers_at_exit() -> None:
-    """Kill them before loky waits for each to end by itself.
+def end_workers() -> None:
+    """Kill this process's workers on this machine: for a program to call before it ends.
 
-    A worker that is killed while it takes a unit keeps the lock of the queue. At the end of the program loky
-    no longer looks for the dead, and the others wait for that lock for ever.
+    A worker that is killed while it takes a unit keeps the lock of the queue. At the end of a program loky no
+    longer looks for the dead, and the others would wait for that lock for ever.
     """
-
-    def kill() -> None:
-        if (pool := _pools.get(os.getpid())) is not None:
-            pool.shutdown(wait=True, kill_workers=True)
-
-    # As loky does when it is first given work: what is registered last is called first.
-    threading._register_atexit(kill)  # type: ignore[attr-defined]
+    pool = _pools.pop(os.getpid(), None)
+    if pool is not None:
+        pool.shutdown(wait=True, kill_workers=True)
 
 
 _folders: set[str] = set()  # of answers, that this worker has been told of

@@ -7,6 +7,8 @@ observe themselves. S is the number of timesteps, N agents, D observation entrie
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -33,19 +35,41 @@ def check_interventions(policy: Policy, observations: Tensor) -> None:
 
 
 def check_blind(policy: Policy, observations: Tensor) -> None:
-    """(S, N, D). Raises InputError where an agent reacts to others with every message masked."""
-    n_steps, n_agents, _ = observations.shape
-    silent = torch.zeros(n_steps, n_agents, n_agents)
-    here = _answer(policy, observations, silent)
-    for i in range(min(n_agents, MAX_AGENTS_TRIED)):
+    """(S, N, D). Raises InputError where an agent reacts to others that it does not hear.
+
+    That is with every message masked, and on a graph of loops alone, where the network takes one.
+    """
+    _check_alone(_masked, policy, observations, "with every message masked")
+    try:
+        _on_loops(policy, observations)
+    except Exception:  # a network may pass messages on all edges of the policy's graph or on none
+        return
+    _check_alone(_on_loops, policy, observations, "on a graph of loops alone")
+
+
+def _check_alone(
+    answer: Callable[[Policy, Tensor], Tensor], policy: Policy, observations: Tensor, where: str
+) -> None:
+    here = answer(policy, observations)
+    for i in range(min(observations.shape[1], MAX_AGENTS_TRIED)):
         others = observations.flip(0) + 1.0
         others[:, i] = observations[:, i]
-        changed = _difference(here, _answer(policy, others, silent))[:, i]
-        if bool(changed.any()):
+        if bool(_difference(here, answer(policy, others))[:, i].any()):
             raise InputError(
-                f"agent {i} reacts to what others observe with every message masked: let agents meet in "
-                f"message-passing layers only."
+                f"agent {i} reacts to what others observe {where}: let agents meet in message-passing layers "
+                f"only."
             )
+
+
+def _masked(policy: Policy, observations: Tensor) -> Tensor:
+    n_steps, n_agents, _ = observations.shape
+    return _answer(policy, observations, torch.zeros(n_steps, n_agents, n_agents))
+
+
+def _on_loops(policy: Policy, observations: Tensor) -> Tensor:
+    rows = observations.flatten(0, 1).to(_dtype(policy))
+    action: Tensor = policy(rows, torch.arange(len(rows)).repeat(2, 1))
+    return action.view(*observations.shape[:2], -1)
 
 
 def check_receivers(policy: Policy, x: Tensor) -> None:

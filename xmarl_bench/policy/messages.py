@@ -6,6 +6,7 @@ end. So a mask is read by the two ends of a message and never by its place in a 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
@@ -46,26 +47,25 @@ class GivenEdges:
     def _difference(self, layer: MessagePassing, sender: Tensor, receiver: Tensor) -> str:
         """One sentence: what was received, and the first edge that is too many or missing."""
         given = list(zip(*self.edge_index.tolist(), strict=True))
-        passed = list(zip(sender.tolist(), receiver.tolist(), strict=True))
-        said = f"{type(layer).__name__} passes {len(passed)} messages on {len(given)} edges"
-        unknown = next((pair for pair in passed if pair not in given), None)
-        if unknown is not None:
-            if unknown[0] == unknown[1]:
-                return (
-                    f"{said}: it adds the loop {_shown(unknown)}, which the policy's graph does not have. "
-                    f"Build it with add_self_loops=False, or give the policy a graph with loops."
-                )
+        passed = Counter(zip(sender.tolist(), receiver.tolist(), strict=True))
+        said = f"{type(layer).__name__} passes {passed.total()} messages on {len(given)} edges"
+        graph = set(given)
+        unknown = next((edge for edge in passed if edge not in graph), None)
+        if unknown is not None and unknown[0] == unknown[1]:
             return (
-                f"{said}: {_shown(unknown)} is no edge of the policy's graph. Pass messages from sender to "
+                f"{said}: it adds the loop {_shown(unknown)}, which the policy's graph does not have; build "
+                f"it with add_self_loops=False, or give the policy a graph with loops."
+            )
+        if unknown is not None:
+            return (
+                f"{said}: {_shown(unknown)} is no edge of the policy's graph; pass messages from sender to "
                 f"receiver, on the edges that forward is given."
             )
-        missing = next((pair for pair in given if pair not in passed), None)
+        missing = next((edge for edge in given if edge not in passed), None)
         if missing is not None:
-            return (
-                f"{said}: it drops {_shown(missing)}. Keep every edge and let the network scale its message."
-            )
-        twice = next(pair for pair in passed if passed.count(pair) > 1)
-        return f"{said}: {_shown(twice)} carries more than one. Pass one message for each edge."
+            return f"{said}: it drops {_shown(missing)}; keep every edge and scale messages."
+        twice = next(edge for edge, count in passed.items() if count > 1)
+        return f"{said}: {_shown(twice)} carries more than one; pass one message for each edge."
 
 
 class Call(NamedTuple):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor, nn
 from torch_geometric.nn import TransformerConv
 
 from tests.bench.checks.test_policy_checks import Pilot
@@ -49,6 +50,17 @@ def nowhere() -> PolicyModule:
 
 def misnamed() -> PolicyModule:
     return PolicyModule("Not A Name", Pilot(), "blind_navigation_v0", 3)
+
+
+class Dense(nn.Module):
+    """Agents meet in a sum over all rows."""
+
+    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        return (x - x.mean(dim=0))[:, :4]
+
+
+def dense() -> PolicyModule:
+    return PolicyModule("dense", Dense(), "blind_navigation_v0", 3)
 
 
 def listed() -> dict[str, object]:
@@ -126,6 +138,16 @@ def test_a_bundle_needs_no_trust(make_bundle: MakeBundle) -> None:
     policy, card = registry.open_policy(str(make_bundle()))
     assert card.name == "small"
     assert not policy.training
+
+
+@pytest.mark.parametrize("command", ["check policy", "score --explainer self --policy"])
+def test_a_network_that_no_mask_explains_is_refused_before_anything_runs(
+    command: str, run_cli: RunCli, tmp_path: Path
+) -> None:
+    where = ("--out", tmp_path) if "score" in command else ()
+    ran = run_cli(*command.split(), f"{HERE}:dense", "--trust-code", *where)
+    assert ran.code == 2
+    assert "Dense passes no message through a layer of torch_geometric" in ran.err
 
 
 def test_a_factory_in_a_file(tmp_path: Path) -> None:

@@ -18,7 +18,15 @@ from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench import CompleteGraph, FixedGraph, PolicyModule
 from xmarl_bench.errors import InputError
 from xmarl_bench.origin.references import origin_of
-from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, Prepared, load_policy, save_policy
+from xmarl_bench.policy import (
+    ActionDistribution,
+    GraphPolicy,
+    Policy,
+    Prepared,
+    complete_graph,
+    load_policy,
+    save_policy,
+)
 
 N = 3
 NO_LOOPS = CompleteGraph(loops=False)
@@ -51,6 +59,11 @@ def teams(x: Tensor) -> Tensor:
     return x.view(-1, N, x.shape[-1])
 
 
+def next_agent(x: Tensor) -> Tensor:
+    """Each row is what the agent before it in the team observes."""
+    return teams(x).roll(1, dims=1).reshape(x.shape)
+
+
 def team_attention(x: Tensor) -> Tensor:
     """Of every row to the rows of its team, without messages."""
     team = teams(x)
@@ -60,6 +73,13 @@ def team_attention(x: Tensor) -> Tensor:
 def dense_beside(network: Network, x: Tensor, edge_index: Tensor) -> Tensor:
     out: Tensor = network.layer(x + team_attention(x), edge_index)
     return out + team_attention(x)[:, :4]
+
+
+def sums_beside(network: Network, x: Tensor, edge_index: Tensor) -> Tensor:
+    """What is summed along edges by hand is no message of a layer."""
+    sender, receiver = edge_index
+    out: Tensor = network.layer(x, edge_index)
+    return out + torch.zeros(len(x), 4).index_add(0, receiver, x[sender, :4])
 
 
 def dense_after(network: Network, x: Tensor, edge_index: Tensor) -> Tensor:
@@ -91,9 +111,11 @@ def by_receiver(edges: Tensor, n: int) -> EdgeIndex:
 
 
 class Shuffles(MessagePassing):  # type: ignore[misc]
-    """Hands to each receiver what its neighbours received."""
+    """Hands to each agent what another one received, on edges of its own: no graph of loops alone."""
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        team = torch.arange(0, len(x), N)[:, None]
+        edge_index = (complete_graph(N)[:, None] + team).flatten(1)
         out: Tensor = self.propagate(edge_index, x=x[:, :4])
         return teams(out).roll(1, dims=1).reshape(out.shape) + x[:, :4]
 
@@ -122,7 +144,19 @@ REFUSED: dict[str, tuple[nn.Module, str]] = {
         "passes no message",
     ),
     "dense attention beside": (Network(dense_beside), "agent 0 reacts to what others observe"),
-    "dense attention after": (Network(dense_after), r"masking the message \d -> \d changes agent \d"),
+    "dense attention after": (
+        Network(dense_after),
+        "agent 0 reacts to what others observe on a graph of loops",
+    ),
+    "sums beside": (Network(sums_beside), "agent 0 reacts to what others observe"),
+    "rows in another order": (
+        Network(lambda self, x, edges: self.layer(next_agent(x), edges)),
+        "agent 0 reacts to what others observe on a graph of loops alone",
+    ),
+    "senders in another order": (
+        Network(lambda self, x, edges: self.layer((next_agent(x), x), edges)),
+        "agent 0 reacts to what others observe on a graph of loops alone",
+    ),
     "handed on": (Shuffles(), r"masking the message \d -> \d changes agent \d"),
     "all rows": (
         Network(lambda self, x, edges: self.layer(x - x.mean(dim=0), edges)),

@@ -22,6 +22,7 @@ from xmarl_bench.cli.submit import submit
 from xmarl_bench.cli.validate import validate
 from xmarl_bench.cli.verify import verify
 from xmarl_bench.errors import InputError
+from xmarl_bench.parallel.program_end import end_workers
 
 app = typer.Typer(
     name="xmarl-bench",
@@ -57,10 +58,7 @@ def main() -> None:
         print("xmarl-bench: stopped; scores that are finished are kept for the next run.", file=sys.stderr)
         raise SystemExit(130) from None
     finally:
-        if "xmarl_bench.parallel.backends" in sys.modules:  # otherwise there are no workers
-            from xmarl_bench.parallel.backends import end_workers
-
-            end_workers()
+        end_workers()
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from weakref import WeakKeyDictionary
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.calls import kept_in
+from xmarl_bench.parallel.program_end import pools
 from xmarl_bench.parallel.workers import Workers
 
 CONNECT_SECONDS = 20.0  # for a cluster to answer
@@ -86,10 +87,10 @@ def _loky(workers: Workers) -> Iterator[Backend]:
 
     def pool() -> Any:
         """Another one if a worker died: loky then ends the others."""
-        _pools[os.getpid()] = get_reusable_executor(
+        pools[os.getpid()] = get_reusable_executor(
             n_workers, timeout=IDLE_SECONDS, env=ONE_THREAD, initializer=_end_with, initargs=(os.getpid(),)
         )
-        return _pools[os.getpid()]
+        return pools[os.getpid()]
 
     def submit(function: Callable[..., Any], *args: object) -> Any:
         try:
@@ -104,20 +105,6 @@ def _loky(workers: Workers) -> Iterator[Backend]:
         # Loky replaces a worker whose memory has grown by 300 MB, between two units: that loses nothing.
         warnings.filterwarnings("ignore", message="A worker (stopped|was restarted) while some jobs")
         yield Backend(submit, kill, deaths, n_workers)
-
-
-_pools: dict[int, Any] = {}  # loky's, by the process that uses it: a fork has none
-
-
-def end_workers() -> None:
-    """Kill this process's workers on this machine: for a program to call before it ends.
-
-    A worker that is killed while it takes a unit keeps the lock of the queue. At the end of a program loky no
-    longer looks for the dead, and the others would wait for that lock for ever.
-    """
-    pool = _pools.pop(os.getpid(), None)
-    if pool is not None:
-        pool.shutdown(wait=True, kill_workers=True)
 
 
 _folders: set[str] = set()  # of answers, that this worker has been told of

@@ -25,6 +25,7 @@ from xmarl_bench.cli.options import Address, Backend
 from xmarl_bench.cli.tables import performance_rows, print_rows
 from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.fan_out import Failure, fan_out
+from xmarl_bench.parallel.program_end import end_workers
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.reproducible import one_thread
@@ -253,6 +254,8 @@ def main() -> None:
     except InputError as error:
         print(f"xmarl-train: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    finally:
+        end_workers()
 
 
 if __name__ == "__main__":

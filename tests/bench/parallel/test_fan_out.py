@@ -237,7 +237,7 @@ def test_workers_end_with_the_main_process(kill: signal.Signals, tmp_path: Path)
 STOP = """
 import os, signal
 from tests.helpers import units_of_work
-from xmarl_bench.parallel.backends import end_workers
+from xmarl_bench.parallel.program_end import end_workers
 from xmarl_bench.parallel.fan_out import fan_out
 from xmarl_bench.parallel.workers import Workers
 for pid in {pid for _, pid in fan_out(units_of_work.process, range(8), workers=Workers(2))}:

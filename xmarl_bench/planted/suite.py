@@ -15,7 +15,7 @@ import numpy as np
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
-from xmarl_bench.metrics.table import UNDER_ABSENCES
+from xmarl_bench.metrics.table import ORDER, UNDER_ABSENCES
 from xmarl_bench.planted.families import CODES, FAMILIES, Planted, planted
 from xmarl_bench.planted.truth import auroc, average_precision
 from xmarl_bench.reproducible import derived_seed, one_thread
@@ -35,7 +35,7 @@ class Found:
     control: bool
     auroc: float | None
     average_precision: float | None
-    message_fidelity: float | None
+    fidelity: float | None  # the order of the leaderboard
     under: dict[str, float | None]  # budgeted fidelity under each absence model
     error: str | None = None
 
@@ -72,7 +72,7 @@ def _found(truth: Planted, n_agents: int, explainers: Sequence[Explainer], seed:
             continue
         row, where = states.mask_metrics(mask), (mask.numpy(), truth.relevant, truth.counted)
         under = {name: getattr(row, name) for name in UNDER_ABSENCES}
-        found.append(Found(*who, auroc(*where), average_precision(*where), row.message_fidelity, under))
+        found.append(Found(*who, auroc(*where), average_precision(*where), getattr(row, ORDER), under))
     return found
 
 
@@ -96,7 +96,7 @@ def means_of(found: Sequence[Found]) -> dict[str, dict[str, float]]:
         name: {
             "auroc": _mean(found, name, "auroc"),
             "precision": _mean(found, name, "average_precision"),
-            "fidelity": _mean(found, name, "message_fidelity"),
+            "fidelity": _mean(found, name, "fidelity"),
         }
         for name in names
         if name not in failed

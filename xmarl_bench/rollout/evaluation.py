@@ -14,6 +14,7 @@ from xmarl_envs import TASKS
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import attention_entropy
 from xmarl_bench.metrics.statistics import over_units
+from xmarl_bench.metrics.table import GAINS
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.policy import Policy
@@ -91,7 +92,7 @@ def evaluate(
                 max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
                 with_messages=mean_metrics(cell.task, heard),
                 without_messages=mean_metrics(cell.task, unheard),
-                messages_gain={name: _gain(name, heard, unheard) for name in ("success_rate", "reward")},
+                messages_gain={name: _gain(name, heard, unheard) for name in GAINS.values()},
                 attention_entropy=_attention_entropy(policy, heard),
             )
         )

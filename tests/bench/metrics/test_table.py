@@ -26,7 +26,6 @@ NAMING = {
     "scoring/states.py": "computes those of a mask and of a policy",
     "scoring/behaviour.py": "computes those of behaviour",
     "scoring/measure.py": "computes those of sanity",
-    "rollout/evaluation.py": "in which of them messages may gain",
     "scoring/results.py": "keeps the fields of an episode",
     "policy/default_policies.py": "ranks policies by what they can do",
     "submission/consistency.py": "which metrics follow from which",

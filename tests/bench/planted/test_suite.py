@@ -78,7 +78,7 @@ def test_what_explainers_are_good_and_bad_at_by_design() -> None:
         assert (of(family, "attention").auroc or 0.0) > 0.99, family
     for family in FAMILIES:
         ones = of(family, "all-ones")
-        assert (ones.auroc, ones.message_fidelity) == (0.5, 0.0)
+        assert (ones.auroc, ones.fidelity) == (0.5, 0.0)
         assert abs((of(family, "random").auroc or 0.0) - 0.5) < 0.1
     tau = agreement(found)
     assert tau is not None

@@ -16,7 +16,7 @@ from tests.bench.submission.edits import Edit, edited, with_entry, with_manifest
 from tests.conftest import RunCli
 from xmarl_bench.entry.file import read_entry, write_entry
 from xmarl_bench.entry.schema import Entry, Verification
-from xmarl_bench.explain.controls import CONTROLS, INVERTED
+from xmarl_bench.explain.controls import CONTROLS, INITIAL_ATTENTION, INVERTED, NEAREST
 from xmarl_bench.policy.untrusted import WEIGHTS
 from xmarl_bench.records.files import pretty_json
 from xmarl_bench.submission import consistency
@@ -205,7 +205,8 @@ def test_validating_waits_for_no_torch(
 
 
 def test_controls_are_named_as_they_are() -> None:
-    assert {*CONTROLS, INVERTED} == consistency.FLOORS | consistency.CEILINGS
+    known = consistency.FLOORS | consistency.CEILINGS | consistency.OF_KNOWN_ORIGIN
+    assert {*CONTROLS, NEAREST, INITIAL_ATTENTION, INVERTED} == known
 
 
 def test_published_schemas_are_those_of_the_code() -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xmarl_bench.metrics.statistics import CONFIDENCE, groups_by_head, holm, student_interval, student_p
 
-DIGITS = 9  # after the point; what is beyond is rounding, as between attention and attention-rowmax
+DIGITS = 6  # after the point; what is beyond is rounding, as between attention and attention-rowmax
 
 Floats = NDArray[np.float64]
 Explainer = TypeVar("Explainer", bound=Hashable)
@@ -32,12 +32,13 @@ class Place:
     tie_group: int  # from 1; who shares it with the group's first cannot be told from the first
 
 
-def places(values: Sequence[float], blocks: Sequence[Floats]) -> list[Place]:
+def places(values: Sequence[float], blocks: Sequence[Floats], most: float = np.inf) -> list[Place]:
     """The places of R competitors.
 
     values: R means, which decide the order. They are equal where DIGITS digits are.
     blocks: for each policy the competitors' episodes (R, E_g), NaN where one is not a number. An episode
         counts where all competitors have a number.
+    most: the largest value that there can be; intervals end there.
     """
     if not values:
         return []
@@ -56,11 +57,16 @@ def places(values: Sequence[float], blocks: Sequence[Floats]) -> list[Place]:
         others = np.delete(np.arange(n), r)
         sure[r, others] = holm(p[r, others]) < 1.0 - CONFIDENCE
     never_above = (sure & better) | ((difference == 0.0).all(axis=-1) & ~np.eye(n, dtype=bool))
-    least, most = 1 + (sure & better.T).sum(axis=1), n - never_above.sum(axis=1)
+    first, last = 1 + (sure & better.T).sum(axis=1), n - never_above.sum(axis=1)
     groups = groups_by_head(n, lambda head, k: bool(p[order[head], order[k]] >= 1.0 - CONFIDENCE))
     group_of = {int(r): group + 1 for r, group in zip(order, groups, strict=True)}
     return [
-        Place(int(ranks[r]), (int(least[r]), int(most[r])), (float(low[r]), float(high[r])), group_of[r])
+        Place(
+            int(ranks[r]),
+            (int(first[r]), int(last[r])),
+            (float(low[r]), min(float(high[r]), most)),
+            group_of[r],
+        )
         for r in range(n)
     ]
 

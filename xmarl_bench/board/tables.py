@@ -8,6 +8,7 @@ each policy (0 a random ranking, 1 the best one), unlike the paper's metrics.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,10 +21,11 @@ from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, plac
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
 from xmarl_bench.explain.controls import INVERTED
-from xmarl_bench.metrics.table import OF_EXPLAINERS, names_of
+from xmarl_bench.metrics.table import OF_EXPLAINERS, by_name, names_of
 from xmarl_bench.records.files import canonical_json
 
 SCHEMA_VERSION = 3
+MOST = by_name()[ORDER["by"]].range.high or math.inf
 Json = dict[str, Any]
 
 
@@ -170,7 +172,7 @@ def _finish(group: Group) -> None:
     if not rows:
         return
     episodes = np.stack([group.episodes[row["file"]] for row in rows])
-    for row, place in zip(rows, places(_values(rows), [episodes]), strict=True):
+    for row, place in zip(rows, places(_values(rows), [episodes], MOST), strict=True):
         row |= {"rank": place.rank, "rank_interval": place.rank_interval, "tie_group": place.tie_group}
 
 
@@ -199,7 +201,7 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
     blocks = [
         np.stack([group.episodes[rows[name][g]["file"]] for name in names]) for g, group in enumerate(groups)
     ]
-    found = places(means, blocks)
+    found = places(means, blocks, MOST)
     ranked = [_ranking_row(name, rows[name], False, place) for name, place in zip(names, found, strict=True)]
     partial = sorted({name for each in by_name for name in each} - set(names))
     unranked = [

@@ -91,5 +91,6 @@ def test_checkpoints_along_training_are_of_their_moments() -> None:
         training = checkpoint.training
         assert training["percent"] in ship.ALONG_TRAINING
         assert training["validation"] in finished.training["curve"]
-        assert abs(training["validation"]["frames"] / training["frames"] - training["percent"] / 100) < 0.01
+        # The validation nearest to it: there are ten.
+        assert abs(training["validation"]["frames"] / training["frames"] - training["percent"] / 100) < 0.05
         assert (checkpoint.initial_seed, checkpoint.family) == (finished.initial_seed, finished.family)

@@ -125,7 +125,7 @@ def test_tuned_starts_from_zero_draws_nothing_and_changes_the_action_less() -> N
                 policy.distribution(observations, mask).action for mask in (None, tuned, default)
             )
         assert (full - small).square().mean() < (full - large).square().mean()
-        assert tuned.mean() < 0.95  # and not by keeping everything
+        assert tuned.mean() < 0.99  # and not by keeping everything
 
 
 def test_a_tuned_mask_keeps_what_symmetry_says() -> None:

@@ -51,7 +51,8 @@ def entries(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
 def passed(entry: Entry, **means: float) -> Entry:
     """The entry with other means; by default with those of a policy that passes the gate."""
     (cell,) = entry.results
-    changed = {name: {"value": mean} for name, mean in {"success_rate": 0.9, **means}.items()}
+    good = {"success_rate": 0.9, "success_gain": 0.5, "reward_gain": 0.5}
+    changed = {name: {"value": mean, "interval": (mean, mean)} for name, mean in {**good, **means}.items()}
     metrics = cell.metrics.model_copy(
         update={name: getattr(cell.metrics, name).model_copy(update=value) for name, value in changed.items()}
     )

@@ -1,0 +1,104 @@
+// One entry, named in the address: entry.html#<first 16 digits of its id>.
+"use strict";
+
+const $ = (id) => document.getElementById(id);
+
+/** Nested JSON as a definition list's pairs, "a.b" named. */
+function pairs(value, name = "") {
+  if (value === null || value === undefined) return [[name, "\u2013"]];
+  if (typeof value !== "object") return [[name, String(value)]];
+  if (Array.isArray(value) && value.every((each) => typeof each !== "object")) return [[name, value.join(", ") || "none"]];
+  const inner = Object.entries(value);
+  return inner.length ? inner.flatMap(([key, each]) => pairs(each, name ? `${name}.${key}` : key)) : [[name, "none"]];
+}
+
+function showMetrics(row, details) {
+  const controls = rows.filter((other) => other.policy === row.policy && other.control && other !== row);
+  const floor = controls.find(({ explainer }) => explainer === "random");
+  const best = controls.find(({ explainer }) => explainer === "oracle");
+  const lines = METRICS.map((name, k) => {
+    const summary = row.metrics[name];
+    const [n, nan] = details.n[name] ?? [null, 0];
+    const beside = (other) => element("td", {}, number(other?.metrics[name]?.[0]));
+    return element("tr", {}, element("th", { scope: "row" }, HEADINGS[name]),
+      element("td", { class: "number" }, summary ? intervalNode(...summary, null) : element("span", { class: "none" }, row.why[name] ?? "not measured")),
+      element("td", {}, n === null ? "" : `${n}${nan ? `, ${nan} not a number` : ""}`),
+      beside(floor), beside(best), element("td", {}, number(details.inverted?.[k]?.[0])));
+  });
+  $("metrics").replaceChildren(
+    element("caption", {}, "Means over episodes with 95 % intervals; beside them controls on the same states"),
+    element("thead", {}, element("tr", {}, ...["metric", "value", "episodes", "random mask", "oracle mask", "inverted mask"].map((title) => element("th", { scope: "col" }, title)))),
+    element("tbody", {}, ...lines));
+}
+
+function showProvenance(row, details) {
+  const cost = details.cost;
+  const listed = [
+    ["entry", element("a", { href: row.file }, details.entry_id)],
+    ["submitter", row.submitter ?? "\u2013"],
+    ["protocol", describeProtocol(row.table.protocol)],
+    ["first episode's seed", String(details.first_seed)],
+    ["masks take", `${(1000 * cost.explain_seconds_per_timestep).toPrecision(3)} ms a timestep`],
+    ...pairs({ verification: details.verification, explainer: details.explainer, policy: details.policy, provenance: details.provenance, reported: details.reported }),
+  ];
+  $("provenance").replaceChildren(...listed.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)]));
+}
+
+function showCommand(details) {
+  const { commit, dirty, harness_version: version, cpu_capability: cpu, machine } = details.provenance;
+  $("command").textContent = details.command;
+  $("again-note").textContent = `With xmarl-bench ${version}${commit ? ` at commit ${commit.slice(0, 12)}${dirty ? " and uncommitted changes" : ""}` : ""}; to the bit with the versions below on ${machine} ${cpu}. `
+    + "A policy or explainer that is not registered is named by its folder or file instead.";
+  $("copy").addEventListener("click", async () => {
+    try {
+      await navigator.clipboard.writeText(details.command);
+      $("copied").textContent = "Copied.";
+    } catch {
+      getSelection().selectAllChildren($("command"));
+      $("copied").textContent = "Selected: press Ctrl+C.";
+    }
+  });
+}
+
+function showAnimation(row) {
+  $("animation").hidden = !row.animated;
+  if (!row.animated) return;
+  const picture = $("episode"), source = `animations/${row.id}.avif`;
+  const play = (playing) => {
+    $("play").textContent = playing ? "Stop" : "Play";
+    if (playing) picture.src = source;
+    else picture.removeAttribute("src");
+    picture.hidden = !playing;
+  };
+  picture.alt = `The first episode of ${row.policy.name}, seen from above; arrows between agents are as strong as ${row.explainer} says their messages matter.`;
+  $("episode-caption").textContent = `The first of the episodes that were scored, with the explanation of ${row.explainer}.`;
+  $("play").addEventListener("click", () => play(picture.hidden));
+  play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+}
+
+async function showEntry() {
+  const asked = location.hash.slice(1);
+  const row = rows.find(({ id }) => id !== null && id === asked);
+  if (!row) {
+    $("summary").textContent = `There is no entry ${asked || "named in the address"} on this board.`;
+    return;
+  }
+  const details = await loadDetails(row.policy);
+  const { policy, table } = row;
+  document.title = `${row.explainer} on ${policy.name}, xmarl-bench`;
+  $("title").textContent = `${row.explainer} on ${policy.name}`;
+  const place = row.rank === null ? [] : [" Rank ", placeNode(row.rank, row.rankInterval, row.tie), " on this policy."];
+  $("summary").replaceChildren(`${table.task}, ${table.n_agents} agents; ${describeProtocol(table.protocol)} of at most ${table.max_cycles} steps.`, ...place, " ", badge(row.verification));
+  $("gate").textContent = policy.gate ? `Not ranked: ${policy.gate}.` : "";
+  const mine = details[row.id];
+  showMetrics(row, mine);
+  showCommand(mine);
+  showProvenance(row, mine);
+  showAnimation(row);
+  const place2 = $("budget-figure");
+  await show(place2, async () => ["comm_budget", "budget"].flatMap((kind) => [
+    element("h3", {}, kind === "budget" ? "All edges" : "Messages between agents"), ...budgetChart(place2, [[row.explainer, mine]], kind)]));
+}
+
+addEventListener("hashchange", () => location.reload());
+showEntry().catch((error) => { $("summary").textContent = error.message; console.error(error); });

@@ -8,6 +8,7 @@ Run it when the board was built anew; tests/docs/test_readme.py fails until then
 from __future__ import annotations
 
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,18 @@ CONTROLS = {
 
 def section(ranking: dict[str, Any]) -> str:
     """The explainers in order, and between them the controls to read them by."""
+    ranked = [row for row in ranking["rows"] if row["rank"] is not None]
+    alike = [row["explainer"] for row in ranked if row["tie_group"] == 1]
+    others = f", and {', '.join(alike[1:])} cannot be told from it" if alike[1:] else ""
+    best = alike[0]
+    answer = (
+        f"**{best}** is first{others} (95 %, over {len(ranking['policies'])} policies). The nearest agent, "
+        f"whatever the policy, gets {_value(ranking, 'nearest'):.2f}, and the mask of ones "
+        f"{_value(ranking, 'all-ones'):.2f}, though its FidDelta is {_delta(ranking, 'all-ones'):.2f} ({best}: {_delta(ranking, best):.2f})."
+    )
     lines = [
+        *textwrap.wrap(answer, 118, break_on_hyphens=False),
+        "",
         f"Over the {len(ranking['policies'])} policies scored with them (`make board`), 0 is a random "
         "ranking of the messages and 1 the best one:",
         "",
@@ -38,6 +50,14 @@ def section(ranking: dict[str, Any]) -> str:
         interval = "" if row["interval"] is None else " [{:.2f}, {:.2f}]".format(*row["interval"])
         lines.append(f"| {name} | {row['value']:.2f}{interval} | {row['means']['fid_delta']:.2f} |")
     return "\n".join(lines) + "\n"
+
+
+def _value(ranking: dict[str, Any], name: str) -> float:
+    return next(float(row["value"]) for row in ranking["rows"] if row["explainer"] == name)
+
+
+def _delta(ranking: dict[str, Any], name: str) -> float:
+    return next(float(row["means"]["fid_delta"]) for row in ranking["rows"] if row["explainer"] == name)
 
 
 def page(text: str, leaderboard: dict[str, Any]) -> str:

@@ -32,7 +32,8 @@ def section(ranking: dict[str, Any]) -> str:
     answer = (
         f"**{best}** is first{others} (95 %, over {len(ranking['policies'])} policies). The nearest agent, "
         f"whatever the policy, gets {_value(ranking, 'nearest'):.2f}, and the mask of ones "
-        f"{_value(ranking, 'all-ones'):.2f}, though its FidDelta is {_delta(ranking, 'all-ones'):.2f} ({best}: {_delta(ranking, best):.2f})."
+        f"{_value(ranking, 'all-ones'):.2f}, though its FidDelta is {_delta(ranking, 'all-ones'):.2f} "
+        f"({best}: {_delta(ranking, best):.2f})."
     )
     lines = [
         *textwrap.wrap(answer, 118, break_on_hyphens=False),

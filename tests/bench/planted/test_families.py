@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -75,7 +77,7 @@ def test_a_decoy_gets_most_of_the_attention() -> None:
     with torch.no_grad():
         attention = truth.policy.attention(truth.observations).numpy()
     read = (attention * truth.relevant).sum(axis=-1)[truth.counted]
-    np.testing.assert_allclose(read, 1 / (1 + np.e), atol=1e-3)
+    np.testing.assert_allclose(read, 1 / (1 + math.e), atol=1e-3)
     assert (attention.max(axis=-1)[truth.counted] > 0.7).all()
 
 

@@ -15,12 +15,14 @@ from typing import Annotated, Any
 import typer
 from safetensors.torch import load_file
 
-from xmarl_baselines.policies import HERE, shipped_policies
+from xmarl_baselines.policies import HERE
 from xmarl_baselines.reference import EPISODES, reference_runs
 from xmarl_baselines.training.model_selection import weights_at
 from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.rollout.evaluation import evaluate_policy
+
+CARD = "policy.json"
 
 # Percent of training, at which every run validates. The appendix of Kailas et al. (ICML 2025) on training
 # iterations has 20, 50 and 80 in its table, 10, 50 and 90 in its text.
@@ -31,12 +33,12 @@ def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --o
     """Copy finished reference runs into the package."""
     for name, run in reference_runs().items():
         bundle = runs / name / "policy"
-        if not (bundle / "policy.json").exists():
+        if not (bundle / CARD).exists():
             continue
         policy, card = load_policy(bundle)
         along = (run.recipe.task, run.n_agents, run.seed) == ("blind_navigation_v0", 3, 0)
         there = [name, *(f"{name}-at{percent}" for percent in ALONG_TRAINING if along)]
-        if shipped_policies().keys() >= set(there) and load_card(HERE / name) == card:
+        if all((HERE / each / CARD).exists() for each in there) and load_card(HERE / name) == card:
             continue
         assert isinstance(policy, GraphPolicy)  # what xmarl-train trains
         fields = card.model_dump(exclude={"architecture", "weights_sha256"})

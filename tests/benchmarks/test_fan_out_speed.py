@@ -16,7 +16,7 @@ import psutil
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 from xmarl_baselines.explainers.attention import attention
-from xmarl_envs import make_task
+from xmarl_envs import TASKS, make_task
 
 from tests.baselines.reference import shipped_name
 from tests.benchmarks.conftest import Report
@@ -38,13 +38,8 @@ PIECES, OVERHEAD = 5000, 0.020  # seconds per piece
 # Bytes of this process from the 1000th piece to the last: results are 20 kB, 80 MB of them.
 GROWTH = 30 * 2**20
 GAIN = 1.7
-POLICY = shipped_name("blind_passage_v0", 5)
-POLICIES = (
-    shipped_name("blind_discovery_v0"),
-    shipped_name("blind_navigation_v0"),
-    shipped_name("blind_navigation_v0", 5),
-    shipped_name("blind_passage_v0", 4),
-)
+POLICY = shipped_name("blind_passage_v0")
+POLICIES = tuple(shipped_name(task) for task in TASKS)
 
 
 def test_soak(benchmark: BenchmarkFixture, report: Report, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from tests.bench.board.page.browser import Browse
 from tests.bench.board.page.conftest import HOSTILE
 from xmarl_bench.board.columns import COLUMNS
 
-ALL_ROWS = 4 * (3 + 7) + 2 * (1 + 7)  # explainers and controls of the policies with 50 episodes
+ALL_ROWS = 4 * (3 + 8) + 2 * (1 + 8)  # explainers and controls of the policies with 50 episodes
 
 
 def column(page: Page, table: str, number: int) -> list[str]:
@@ -153,7 +153,7 @@ def test_violins_of_two_selections(board: Path, browse: Browse) -> None:
 
 
 def test_links_lead_to_what_there_is(board: Path, browse: Browse) -> None:
-    page = browse(board / "index.html")
+    page = browse(board / "index.html", "#kind=0")
     links = page.locator("#scores tbody a").evaluate_all("all => all.map(e => e.getAttribute('href'))")
     identities = {link.removeprefix("entry.html#") for link in links}
     assert len(links) == len(identities) == 4 * 3 + 2

@@ -20,9 +20,8 @@ from xmarl_baselines.reference import EPISODES, reference_runs
 from xmarl_baselines.training.model_selection import weights_at
 from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
 from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.untrusted import CARD
 from xmarl_bench.rollout.evaluation import evaluate_policy
-
-CARD = "policy.json"
 
 # Percent of training, at which every run validates. The appendix of Kailas et al. (ICML 2025) on training
 # iterations has 20, 50 and 80 in its table, 10, 50 and 90 in its text.

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch_geometric.nn import GATConv, GATv2Conv, MessagePassing, TransformerConv
 
-from xmarl_bench.policy import GraphPolicy, ModulePolicy
+from tests.helpers.policies import random_observations
+from xmarl_bench.policy import GraphPolicy, ModulePolicy, RadiusGraph
 
 Layer = Callable[..., MessagePassing]
 
@@ -67,3 +68,12 @@ def two_layers(obs_dim: int) -> ModulePolicy:
 def transformers(obs_dim: int) -> ModulePolicy:
     """Two TransformerConv layers of three heads."""
     return stack(TransformerConv, obs_dim, 2, 3)
+
+
+def with_a_lonely_timestep() -> tuple[ModulePolicy, Tensor, Tensor]:
+    """`one_layer` on a graph without loops; observations (4, 3, 6); edges (4, 3, 3), none at the second."""
+    policy, graph = one_layer(6), RadiusGraph(radius=1.5, loops=False)
+    policy.graph = graph
+    observations = random_observations(4, 3, 6)
+    observations[1] += 100.0 * torch.arange(3)[:, None]  # far from one another
+    return policy, observations, graph.adjacency(observations)

@@ -152,22 +152,12 @@ def score(
 
 def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> None:
     from xmarl_bench.cli import tables
-    from xmarl_bench.planted.families import FAMILIES
-    from xmarl_bench.planted.suite import SIZES, agreement, means_of, record, score_planted
+    from xmarl_bench.planted.suite import SIZES, agreement, by_family, means_of, record, score_planted
     from xmarl_bench.records.files import write_json
 
     found = score_planted(explainers, seed=seed)
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "planted.json", record(found, seed))
-    by_family = {
-        (name, family): [
-            each.auroc
-            for each in found
-            if (each.explainer, each.family) == (name, family) and each.auroc is not None
-        ]
-        for name in means_of(found)
-        for family in FAMILIES
-    }
     tables.print_rows(
         [
             {
@@ -175,10 +165,7 @@ def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> Non
                 "AUROC": f"{means['auroc']:.2f}",
                 "AP": f"{means['precision']:.2f}",
                 "fidelity": f"{means['fidelity']:.2f}",
-                **{
-                    family: f"{sum(by_family[name, family]) / len(by_family[name, family]):.2f}"
-                    for family in FAMILIES
-                },
+                **{family: f"{mean:.2f}" for family, mean in by_family(found, name, "auroc").items()},
             }
             for name, means in means_of(found).items()
         ]

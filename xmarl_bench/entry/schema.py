@@ -150,11 +150,6 @@ class PolicyRow(MetricsRow):
     """What is the policy's and no explainer's."""
 
 
-@of_metrics(_row_type, Group.GAIN)
-class GainRow(MetricsRow):
-    """What messages are worth to the team, in one episode."""
-
-
 class BudgetRow(Record):
     """FidDelta@k over one episode, k = 1 .. M - 1 of M senders; what `budgeted_fidelity` is made of."""
 

@@ -45,6 +45,11 @@ class Absence(StrEnum):
     RESAMPLE = "resample"
     RENORMALISED = "renormalised"
 
+    @property
+    def prefix(self) -> str:
+        """Of what entries name by it. Zero is that of all communication-only metrics."""
+        return "comm" if self is Absence.ZERO else self.value
+
 
 def reference_states(policy: Policy, task: str, n_agents: int) -> Tensor | None:
     """(Q, N, D) observations whose messages stand in; None where zero alone can be measured.

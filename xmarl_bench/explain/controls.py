@@ -110,7 +110,7 @@ def controls_of(task: str, card: PolicyCard) -> tuple[Explainer, ...]:
             Explainer(
                 NEAREST,
                 partial(nearest_mask, position=position),
-                "agents that are near, whatever the policy: what is no better shows nothing of it",
+                "the nearer the sender, the higher, whatever the policy: another floor",
                 control=True,
             )
         )

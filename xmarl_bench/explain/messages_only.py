@@ -46,12 +46,17 @@ class OwnKept(Policy):
         """F of the mask with its diagonal set to 1."""
         if mask is None:
             return self.policy.decode(prepared)
-        own = torch.eye(mask.shape[-1], dtype=mask.dtype)
-        return self.policy.decode(prepared, mask * (1.0 - own) + own)
+        return self.policy.decode(prepared, _with_own(mask))
 
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N)."""
         return self.policy.attention(observation)
+
+
+def _with_own(mask: Tensor) -> Tensor:
+    """(..., N, N) -> the same with ones on the diagonal, through which no gradient flows."""
+    own = torch.eye(mask.shape[-1], dtype=mask.dtype)
+    return mask * (1.0 - own) + own
 
 
 def messages_only(thing: object) -> Explainer:
@@ -59,7 +64,7 @@ def messages_only(thing: object) -> Explainer:
 
     It is for explainers that ask `decode` about masks, as all that the benchmark ships do but attention's,
     and for batched ones: one that is called for a timestep at a time is given the network itself. Raises
-    InputError for that, and for what is no explainer.
+    InputError where it is not batched, and where `as_explainer` does.
     """
     explainer = as_explainer(thing)
     if not explainer.batched:
@@ -70,9 +75,7 @@ def messages_only(thing: object) -> Explainer:
 
     def asked(explain: Explain) -> Explain:
         def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-            mask = explain(OwnKept(policy), observations, generator)
-            own = torch.eye(mask.shape[-1], dtype=mask.dtype)
-            return mask * (1.0 - own) + own
+            return _with_own(explain(OwnKept(policy), observations, generator))
 
         return about_messages
 

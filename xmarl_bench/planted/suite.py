@@ -104,13 +104,18 @@ def means_of(found: Sequence[Found]) -> dict[str, dict[str, float]]:
     return dict(sorted(means.items(), key=lambda pair: (-pair[1]["auroc"], pair[0])))
 
 
-def _mean(found: Sequence[Found], name: str, field: str) -> float:
-    by_family: dict[str, list[float]] = {}
+def by_family(found: Sequence[Found], name: str, field: str) -> dict[str, float]:
+    """Family -> mean of an explainer's field over team sizes, of those that are numbers."""
+    values: dict[str, list[float]] = {}
     for each in found:
         value = getattr(each, field)
         if each.explainer == name and value is not None:
-            by_family.setdefault(each.family, []).append(value)
-    return float(np.mean([np.mean(values) for values in by_family.values()]))
+            values.setdefault(each.family, []).append(value)
+    return {family: float(np.mean(each)) for family, each in values.items()}
+
+
+def _mean(found: Sequence[Found], name: str, field: str) -> float:
+    return float(np.mean(list(by_family(found, name, field).values())))
 
 
 def record(found: Sequence[Found], seed: int) -> Mapping[str, Any]:

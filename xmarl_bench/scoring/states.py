@@ -40,7 +40,6 @@ from xmarl_bench.metrics import (
     random_at_k,
     top_k_rows,
 )
-from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, existing_edges
 
 Floats = NDArray[np.float64]
@@ -95,14 +94,8 @@ class Rankings:
 
     def records(self) -> dict[str, BudgetRow]:
         """The budgets of an episode's row."""
-        under = {
-            "comm" if absence is Absence.ZERO else absence.value: each
-            for absence, each in self.messages.items()
-        }
-        return {
-            "budget": self.all_edges.record(),
-            **{f"{name}_budget": each.record() for name, each in under.items()},
-        }
+        under = {f"{absence.prefix}_budget": each.record() for absence, each in self.messages.items()}
+        return {"budget": self.all_edges.record(), **under}
 
 
 @dataclass(frozen=True)
@@ -174,14 +167,15 @@ class States:
         )
 
     def _rankings(self, mask: Tensor) -> Rankings:
-        senders, own = mask.numpy(), torch.eye(mask.shape[-1])
+        senders = mask.numpy()
         others = other_senders(senders)
         if self.all_edges is None:  # no tables at all
+            own = torch.eye(mask.shape[-1])
             return Rankings(
                 self._by_forwards(senders, self.noise, torch.zeros_like(own)),
                 {Absence.ZERO: self._by_forwards(others, other_senders(self.noise), own)},
             )
-        share = choices(others, None if self.edges is None else other_senders(self.edges))
+        share = choices(others, self.messages[Absence.ZERO].edges)
         return Rankings(
             self.all_edges.score(choices(senders, self.edges)),
             {absence: ranking.score(share) for absence, ranking in self.messages.items()},
@@ -221,10 +215,7 @@ class States:
             "comm_fid_delta": comm.delta.mean(),
             "comm_gef": graph_explanation_unfaithfulness(comm_kl).mean(),
             "comm_topk_fid_delta": messages[Absence.ZERO].mean,
-            **{
-                name: budgeted.get(absence, math.nan)
-                for name, absence in zip(UNDER_ABSENCES, Absence, strict=True)
-            },
+            **{f"{each.prefix}_budgeted_fidelity": budgeted.get(each, math.nan) for each in Absence},
             "message_fidelity": mean,
             "smallest_message_fidelity": smallest,
         }

@@ -28,6 +28,7 @@ from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.program_end import end_workers
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, save_policy
+from xmarl_bench.policy.untrusted import CARD
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.evaluation import Performance, evaluate_policy
@@ -146,7 +147,7 @@ def train_missing(out: Path, workers: Workers) -> int:
     Runs begun earlier are resumed. One that fails does not stop the others; its output is in `out`/NAME.log.
     Workers on other machines need `out` on a file system that all share.
     """
-    missing = [name for name in reference_runs() if not (out / name / "policy" / "policy.json").exists()]
+    missing = [name for name in reference_runs() if not (out / name / "policy" / CARD).exists()]
     out.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=True)
     failed = 0

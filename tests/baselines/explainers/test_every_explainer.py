@@ -21,13 +21,13 @@ from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
 from xmarl_baselines.explainers.graphmask_pyg import graphmask_pyg
 
 from tests.baselines.reference import by_pyg
-from tests.helpers.deep_policies import Opened, one_layer, transformers, two_layers
+from tests.helpers.deep_policies import Opened, one_layer, transformers, two_layers, with_a_lonely_timestep
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.messages_only import SUFFIX
 from xmarl_bench.explain.pyg import PygExplain
-from xmarl_bench.policy import ModulePolicy, Policy, RadiusGraph
+from xmarl_bench.policy import ModulePolicy, Policy
 
 SHIPPED: list[Explainer] = [
     plugin.load()
@@ -198,11 +198,7 @@ def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer, r
 @pytest.mark.slow
 @each
 def test_agents_that_hear_nobody_get_rows_of_zeros(explainer: Explainer) -> None:
-    policy = one_layer(6)
-    policy.graph = RadiusGraph(radius=1.5, loops=False)
-    observations = random_observations(4, 3, 6)
-    observations[1] += 100.0 * torch.arange(3)[:, None]  # far from one another
-    edges = policy.graph.adjacency(observations)
+    policy, observations, edges = with_a_lonely_timestep()
     assert not edges[1].any()
     assert edges.any()
     mask = run_explainer(explainer, policy, observations, 3)

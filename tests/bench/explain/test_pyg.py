@@ -18,12 +18,12 @@ from torch_geometric.explain import (
     PGExplainer,
 )
 
-from tests.helpers.deep_policies import one_layer, two_layers
+from tests.helpers.deep_policies import two_layers, with_a_lonely_timestep
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.pyg import PygExplain, class_settings_kept
-from xmarl_bench.policy import FixedGraph, Policy, RadiusGraph
+from xmarl_bench.policy import FixedGraph, Policy
 
 CAPTUM = CaptumExplainer.SUPPORTED_METHODS
 
@@ -142,11 +142,7 @@ def test_the_graph_is_the_policys_own(name: str) -> None:
     "name", ["attention", "dummy", "gnn", "gnn per agent", "graphmask", "pg", "Saliency"]
 )
 def test_timesteps_without_an_edge_get_a_mask_of_zeros(name: str) -> None:
-    policy = one_layer(6)
-    policy.graph = RadiusGraph(radius=1.5, loops=False)
-    observations = random_observations(4, 3, 6)
-    observations[1] += 100.0 * torch.arange(3)[:, None]  # far from one another
-    edges = policy.graph.adjacency(observations)
+    policy, observations, edges = with_a_lonely_timestep()
     assert edges.any(dim=(1, 2)).tolist() == [True, False, True, True]
     mask = run_explainer(Explainer(name, EVERY[name]), policy, observations, 1)
     assert not mask[~edges].any()

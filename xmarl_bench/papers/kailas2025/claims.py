@@ -160,7 +160,7 @@ PAPER_EXPLAINERS = (ATTENTION, GNN, GRAPHMASK)
 # tuned, GraphMask as its own paper describes it.
 MENDED = {ATTENTION: "attention-rowmax", GNN: "gnn_explainer-tuned", GRAPHMASK: "graphmask"}
 
-# 0.02 is 1 % of the range of an action, [-1, 1]: a change of an action that is none.
+# 0.02 is 1 % of the range of an action, [-1, 1]: a smaller change counts as none.
 FIDELITY_MARGIN = 0.02
 RATE_MARGIN = 0.05  # of a success or collision rate
 

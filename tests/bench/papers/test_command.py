@@ -66,7 +66,7 @@ def test_the_main_study(run_cli: RunCli, tmp_path: Path) -> None:
     assert (out / "results.json").read_bytes() == before
 
 
-def test_the_study_along_training_takes_checkpoints_alone(run_cli: RunCli, tmp_path: Path) -> None:
+def test_the_study_along_training_shows_finished_policies_beside_the_checkpoints(run_cli: RunCli, tmp_path: Path) -> None:
     folders = [
         bundle(tmp_path, f"p{x}-at{percent}", attention_entropy=x, percent=percent)
         for percent in (20, 80)
@@ -78,7 +78,7 @@ def test_the_study_along_training_takes_checkpoints_alone(run_cli: RunCli, tmp_p
     assert ran.code == 0, ran.err
     results = json.loads((out / "results.json").read_text())
     assert {(policy["name"], policy["percent"]) for policy in results["policies"]} == {
-        ("p0.0-at20", 20), ("p0.2-at20", 20), ("p0.0-at80", 80), ("p0.2-at80", 80),
+        ("p0.0-at20", 20), ("p0.2-at20", 20), ("p0.0-at80", 80), ("p0.2-at80", 80), ("finished", None),
     }  # fmt: skip
     grows = next(claim for claim in results["ledger"] if claim["id"] == "training-attention-grows")
     assert grows["counts"]["not measured"] == 0

@@ -38,7 +38,7 @@ class Study:
 
 
 # The finished policies are shown beside the paper's three moments of training.
-FINISHED = Cell(NAVIGATION, training_claims.N_AGENTS, percent=100)
+FINISHED = Cell(NAVIGATION, training_claims.N_AGENTS)
 STUDIES = {
     study.name: study
     for study in (

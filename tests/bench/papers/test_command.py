@@ -117,7 +117,8 @@ def test_bad_input_is_one_sentence(run_cli: RunCli, make_bundle: MakeBundle, tmp
     assert_refused(
         run(run_cli, "main", [one], out, "--no-figures", "--behaviour", "x"), "unknown explainer 'x'"
     )
-    assert_refused(run(run_cli, "training", [one], out, "--no-figures"), "belongs to the study 'training'")
+    at_30 = bundle(tmp_path, "at-30", attention_entropy=0.0, percent=30)
+    assert_refused(run(run_cli, "training", [at_30], out, "--no-figures"), "belongs to the study 'training'")
     assert_refused(run(run_cli, "main", [one], out, "--no-figures", "--explainer", "no"), "unknown explainer")
     assert run(run_cli, "other", [one], out).code == 2
     assert not out.exists()

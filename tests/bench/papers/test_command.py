@@ -66,7 +66,9 @@ def test_the_main_study(run_cli: RunCli, tmp_path: Path) -> None:
     assert (out / "results.json").read_bytes() == before
 
 
-def test_the_study_along_training_shows_finished_policies_beside_the_checkpoints(run_cli: RunCli, tmp_path: Path) -> None:
+def test_the_study_along_training_shows_finished_policies_beside_the_checkpoints(
+    run_cli: RunCli, tmp_path: Path
+) -> None:
     folders = [
         bundle(tmp_path, f"p{x}-at{percent}", attention_entropy=x, percent=percent)
         for percent in (20, 80)

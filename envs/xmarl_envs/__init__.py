@@ -20,7 +20,7 @@ __all__ = [
 
 
 def make_task(name: str, n_agents: int = 3, **options: Any) -> Task:
-    """The rules of a task by name. Raises ValueError for a name that is not one of `TASKS`."""
+    """The rules of a task by name. Raises ValueError if the name is not in `TASKS`."""
     if name not in TASKS:
         raise ValueError(f"unknown task {name!r}: choose one of {', '.join(TASKS)}.")
     return TASKS[name](n_agents=n_agents, **options)

@@ -1,4 +1,4 @@
-"""Blind discovery: search for a landmark that one can only sense nearby, and bring a partner to it.
+"""Blind discovery: find a landmark that agents sense only from nearby, and bring a partner to it.
 
 | | |
 |---|---|

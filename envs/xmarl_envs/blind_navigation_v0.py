@@ -1,4 +1,4 @@
-"""Blind navigation: every agent drives to its own goal without touching another, and sees no other.
+"""Blind navigation: every agent drives to its own goal without touching the others, which it cannot see.
 
 | | |
 |---|---|
@@ -56,7 +56,7 @@ class BlindNavigation(Task):
         at_goal = to_goal < self.goal_radius
         done = np.asarray(at_goal.all(axis=-1))
         team = gained.sum(axis=-1)
-        if np.count_nonzero(done):  # quicker than to add zeros
+        if np.count_nonzero(done):  # adding zeros takes longer
             team += self.all_at_goal_reward * done
         reward = team[:, None] - self.collision_penalty * contacts
         return Outcome(reward, done, at_goal, np.zeros(at_goal.shape, np.bool_))

@@ -1,4 +1,4 @@
-"""Blind passage: a team in formation goes through a gap one agent wide, one after the other, blindly.
+"""Blind passage: a team in formation goes through a gap one agent wide, one after the other.
 
 | | |
 |---|---|
@@ -30,12 +30,12 @@ from xmarl_envs.task import Bools, Floats, Layout, Outcome, State, Task, distanc
 
 SLOTS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # the cross, in spacings
 N_GAPS = 20
-WALL_LENGTH = 2.4  # m; each of the two boxes reaches past the border wherever the gap is
+WALL_LENGTH = 2.4  # m; long enough for both boxes to reach past the border at every gap position
 
 
 @dataclass(frozen=True)
 class BlindPassage(Task):
-    shared_reward: bool = False  # as in VMAS: False, each agent is paid for its own distance
+    shared_reward: bool = False  # VMAS's default; False: each agent is paid for its own distance
 
     name: ClassVar[str] = "blind_passage_v0"
     observation_names: ClassVar[tuple[str, ...]] = (
@@ -91,7 +91,7 @@ class BlindPassage(Task):
         return Outcome(reward, np.asarray(at_goal.all(axis=-1)), at_goal, touches_wall)
 
     def touches_wall(self, state: State) -> Bools:
-        """(B, N): a disc's surface is within `collision_gap` of a wall box."""
+        """(B, N): whether a disc's surface is within `collision_gap` of a wall box."""
         offset = np.abs(state.position[:, :, None] - state.walls[:, None])  # (B, N, W, 2)
         outside = np.maximum(offset - np.array(self.wall_size) / 2, 0.0)
         gap = np.sqrt(outside[..., 0] ** 2 + outside[..., 1] ** 2) - self.radius

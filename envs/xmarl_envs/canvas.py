@@ -1,4 +1,4 @@
-"""Shapes in metres on a pygame surface: drawn twice as large and shrunk, for pygame's edges are jagged."""
+"""Draws shapes in metres on a pygame surface, twice as large and then shrunk: pygame's edges are jagged."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xmarl_envs.colours import GRID, INK, PAPER, Colour
 from xmarl_envs.task import Floats
 
 SIZE = 640  # pixels, width of a picture and height of its world
-HEADER = 64  # pixels above the world; both are multiples of 16, as video codecs want them
+HEADER = 64  # pixels above the world; video codecs need both to be multiples of 16
 OVERSAMPLING = 2
 GRID_SPACING = 0.5  # m
 
@@ -23,7 +23,7 @@ class Canvas:
     """
 
     def __init__(self, half_width: float, size: int = SIZE, header: int = HEADER) -> None:
-        pygame.font.init()  # pictures need fonts and no display: servers without a screen draw too
+        pygame.font.init()  # fonts need no display, so servers without a screen can draw
         self.half_width = half_width
         self.centre: Floats = np.zeros(2)
         self._size, self._header = size, header
@@ -46,7 +46,7 @@ class Canvas:
         return pygame.transform.smoothscale(self._surface, (self._size, self._size + self._header))
 
     def paste(self, other: Canvas, right: bool, top: bool, colour: Colour) -> None:
-        """Another canvas, framed, into a corner of the world."""
+        """Draw another canvas, with a frame, into a corner of the world."""
         margin, size = 10 * OVERSAMPLING, OVERSAMPLING * self._size
         place = other._surface.get_rect()
         place.x = size - margin - place.width if right else margin
@@ -55,18 +55,18 @@ class Canvas:
         pygame.draw.rect(self._surface, colour, place, OVERSAMPLING)
 
     def pixels(self, metres: float) -> float:
-        """A length in pixels of the picture."""
+        """Convert a length from metres to pixels of the picture."""
         return metres / self.half_width * self._size / 2
 
     def metres(self, pixels: float) -> float:
-        """A length in the world of so many pixels of the picture."""
+        """Convert a length from pixels of the picture to metres."""
         return pixels * 2 * self.half_width / self._size
 
     def disc(self, centre: Floats, radius: float, colour: Colour) -> None:
         pygame.draw.circle(self._surface, colour, self._at(centre), self._length(radius))
 
     def ring(self, centre: Floats, radius: float, colour: Colour, width: float, opacity: float = 1.0) -> None:
-        """A circle whose line lies inside the radius."""
+        """Draw a circle whose line lies inside the radius."""
         line = max(1, round(OVERSAMPLING * width))
         surface = self._surface if opacity == 1.0 else self._overlay
         pygame.draw.circle(
@@ -74,7 +74,7 @@ class Canvas:
         )
 
     def line(self, points: Floats, colour: Colour, width: float) -> None:
-        """(P, 2) a line through all points."""
+        """Draw a line through points (P, 2)."""
         pygame.draw.lines(
             self._surface,
             colour,
@@ -84,7 +84,7 @@ class Canvas:
         )
 
     def polygon(self, points: Floats, colour: Colour, opacity: float = 1.0) -> None:
-        """(P, 2) filled. Translucent shapes lie above all others once `blend` is called."""
+        """Fill the polygon of points (P, 2). `blend` puts translucent shapes above all others."""
         surface = self._surface if opacity == 1.0 else self._overlay
         pygame.draw.polygon(surface, (*colour, round(255 * opacity)), [self._at(p) for p in points])
 
@@ -98,7 +98,7 @@ class Canvas:
         self.polygon(centre + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]), colour)
 
     def frame(self, half_width: float, colour: Colour) -> None:
-        """A square around the origin, and paper outside of it."""
+        """Draw a square around the origin and clear everything outside it."""
         (left, top), size = self._at(np.array([-half_width, half_width])), 2 * self._length(half_width)
         square = pygame.Rect(left, top, size, size)
         inside = self._surface.subsurface(square).copy()
@@ -111,7 +111,7 @@ class Canvas:
         self._surface.blit(image, image.get_rect(center=self._at(centre)))
 
     def header(self, line: int, text: str, size: float) -> None:
-        """Text in line 0 or 1 above the world, smaller where it would not fit."""
+        """Write text into line 0 or 1 above the world, shrunk to fit."""
         margin, middle = 12 * OVERSAMPLING, round((0.28 + 0.44 * line) * self._header * OVERSAMPLING)
         room = OVERSAMPLING * self._size - 2 * margin
         size *= min(1.0, room / self._font(size).size(text)[0])
@@ -119,7 +119,7 @@ class Canvas:
         self._surface.blit(image, image.get_rect(left=margin, centery=middle))
 
     def clear_header(self) -> None:
-        """What was drawn beyond the world's upper edge does not show."""
+        """Clear what was drawn above the world's upper edge."""
         self._surface.fill(PAPER, pygame.Rect(0, 0, OVERSAMPLING * self._size, OVERSAMPLING * self._header))
 
     def _font(self, size: float) -> pygame.font.Font:

@@ -10,31 +10,31 @@ from xmarl_envs.task import Floats, Task
 
 TIME_STEP = 0.1  # s per environment step
 SUBSTEPS = 2
-# Contacts are looked for this often within a substep. Two discs at full thrust close in at 1.06 m/s: looked
-# for once per substep, they would get 0.053 m into each other before they are stopped; this way 0.018 m.
+# Contact checks per substep. Two discs at full thrust approach at 1.06 m/s: with one check per substep they
+# overlap by up to 0.053 m before they stop, with three by 0.018 m.
 CONTACT_CHECKS = 3
 MOVE = TIME_STEP / SUBSTEPS / CONTACT_CHECKS  # s
 VELOCITY_KEPT = 0.75  # per TIME_STEP, VMAS's drag of 0.25
-DAMPING = VELOCITY_KEPT ** (1.0 / (SUBSTEPS * MOVE))  # per s, in the one move of a substep that has any
-COPY_SPACING = 64.0  # m between slots: nobody gets that far in an episode
+DAMPING = VELOCITY_KEPT ** (1.0 / (SUBSTEPS * MOVE))  # per s; only the last move of a substep has drag
+COPY_SPACING = 64.0  # m between slots; no agent gets that far in an episode
 BORDER_THICKNESS = 0.5  # m
 COLLISION_SLOP = 1e-4  # m; pymunk's default of 0.1 is as large as an agent
-PUSH = np.array(float(CONTACT_CHECKS))  # an array: numpy takes twice as long for a number
+PUSH = np.array(float(CONTACT_CHECKS))  # an array: numpy takes twice as long with a Python float
 STATE, FORCE = BodyFields.POSITION | BodyFields.VELOCITY, BodyFields.FORCE
 
 
 class Chamber:
     """One Space with `n_slots` copies of the task, built in a fixed order: agents, walls, borders.
 
-    Everything is in the Space's frame: slot k's own origin is at `offset[k]`, that of slot 0 at (0, 0).
-    Beside positions and velocities a Space keeps contacts that last, corrections of overlaps that are due in
-    the next move, and the order of its search tree.
+    Coordinates are in the Space's frame: slot k has its origin at `offset[k]`, slot 0 at (0, 0). Besides
+    positions and velocities, a Space keeps lasting contacts, overlap corrections due in the next move, and
+    the order of its search tree.
 
     Attributes:
         offset: (n_slots, 1, 2) m.
-        agents: (n_slots, N, 4) position, m, and velocity, m/s, that `write` sets.
-        walls: (n_slots, W, 4) the same of the walls, which do not move by themselves.
-        position, velocity: (n_slots, N, 2) m, m/s, where the last `step` brought the agents.
+        agents: (n_slots, N, 4) position (m) and velocity (m/s) that `write` sets.
+        walls: (n_slots, W, 4) the same for the walls, which do not move by themselves.
+        position, velocity: (n_slots, N, 2) m and m/s of the agents after the last `step`.
     """
 
     def __init__(self, task: Task, n_slots: int = 1) -> None:
@@ -43,8 +43,8 @@ class Chamber:
         slot = np.arange(n_slots)
         grid = np.stack([slot % side, slot // side], axis=1).astype(np.float64)
         self.offset: Floats = grid[:, None] * COPY_SPACING
-        # Pymunk reads the memory of these arrays: agents, walls, and one row more for Space.static_body,
-        # which comes last in a batch and would be set to whatever lies past the end.
+        # Pymunk reads these arrays directly. The extra row is for Space.static_body, last in a batch:
+        # without the row pymunk would read past the end.
         n_discs, n_walls = n_slots * task.n_agents, n_slots * task.n_walls
         state = np.zeros((n_discs + n_walls + 1, 4))
         force = np.zeros((n_discs + n_walls + 1, 2))
@@ -54,20 +54,20 @@ class Chamber:
         self.agents = state[:n_discs].reshape(n_slots, task.n_agents, 4)
         self.walls = state[n_discs:-1].reshape(n_slots, task.n_walls, 4)
         self._force = force[:n_discs].reshape(n_slots, task.n_agents, 2)
-        # A slot in which nobody was yet: discs in a row, far from the walls.
+        # Unused slots: discs in a row, far from the walls.
         self.agents[..., 0] = self.offset[..., 0] + 3 * task.radius * np.arange(task.n_agents)
         self.agents[..., 1] = self.offset[..., 1] + COPY_SPACING / 4
         self.walls[..., :2] = self.offset - COPY_SPACING / 4
         self.renew()
-        # Pymunk moves the memory that it fills for as long as it grows: the first time only, for there are as
-        # many bodies ever after.
+        # Pymunk allocates its output memory at the first read. The number of bodies never changes, so the
+        # views below stay valid.
         self._read()
         memory: Floats = np.frombuffer(self._state_out.float_buf(), count=self.agents.size)
         seen = memory.reshape(self.agents.shape)
         self.position, self.velocity = seen[..., :2], seen[..., 2:]
 
     def renew(self) -> None:
-        """Go on in a new Space: nothing of the old one (cached contacts, the order in its tree) is left."""
+        """Replace the Space by a new one, without the old one's cached contacts and tree order."""
         task, n_slots = self._task, len(self.offset)
         self._space = space = pymunk.Space()
         space.collision_slop = COLLISION_SLOP
@@ -95,8 +95,8 @@ class Chamber:
 
     def step(self, force: Floats) -> None:
         """Advance by TIME_STEP under forces (n_slots, N, 2) in newton."""
-        # A substep moves by the old velocity, then changes the velocity. Its first moves only coast, and the
-        # last brings the whole substep's drag and force: contacts are found early, free flight is the same.
+        # A move changes the position by the old velocity, then the velocity. Only the last move of a substep
+        # applies drag and force, for the whole substep: contacts are found early, free flight is the same.
         np.multiply(force, PUSH, out=self._force)
         space = self._space
         for _ in range(SUBSTEPS):
@@ -114,7 +114,7 @@ class Chamber:
 
 
 def _immovable(shape: pymunk.Shape) -> pymunk.Shape:
-    """Walls reach into borders. In one group they are not tested against each other."""
+    """Walls overlap borders: one group keeps Chipmunk from testing them against each other."""
     shape.filter = pymunk.ShapeFilter(group=1)
     return _frictionless(shape)
 

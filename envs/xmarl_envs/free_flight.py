@@ -1,4 +1,4 @@
-"""Where discs get to within a step as long as they touch nothing, for many episodes at once."""
+"""One step of discs that touch nothing, for many episodes at once."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 from xmarl_envs.chamber import CONTACT_CHECKS, DAMPING, MOVE, PUSH, SUBSTEPS
 from xmarl_envs.task import Bools, Floats, Task
 
-MOVES = SUBSTEPS * CONTACT_CHECKS  # per step; Chipmunk looks for contacts after each
-VELOCITY_KEPT = np.array(DAMPING**MOVE)  # per substep; an array, for numpy takes longer for a number
+MOVES = SUBSTEPS * CONTACT_CHECKS  # per step; Chipmunk checks for contacts after each
+VELOCITY_KEPT = np.array(DAMPING**MOVE)  # per substep; an array: numpy takes longer with a Python float
 DURATION = np.array(MOVE)  # s, of a move
-MARGIN = 1e-9  # m, on the safe side of rounding
+MARGIN = 1e-9  # m, allowance for rounding
 
 
 def fly(position: Floats, velocity: Floats, force: Floats) -> tuple[Floats, Floats]:
-    """One step from (B, N, 2) m and m/s under (B, N, 2) newton on mass 1.
+    """Advance (B, N, 2) m and m/s by one step under (B, N, 2) newton on mass 1.
 
-    Returns the positions after each move, (MOVES, B, N, 2), and the velocity at the end, (B, N, 2): the
-    operations of Chipmunk's cpBodyUpdatePosition and cpBodyUpdateVelocity in the order of `Chamber.step`,
-    so that the bits are those of a Space.
+    Returns the positions after each move, (MOVES, B, N, 2), and the velocity at the end, (B, N, 2). The
+    operations are those of Chipmunk's cpBodyUpdatePosition and cpBodyUpdateVelocity in the order of
+    `Chamber.step`, so the results have the same bits as those of a Space.
     """
     path = np.empty((MOVES, *position.shape))
     push = force * PUSH * DURATION
@@ -34,10 +34,10 @@ def fly(position: Floats, velocity: Floats, force: Floats) -> tuple[Floats, Floa
 def touching(
     task: Task, path: Floats, walls: Floats, pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
 ) -> Bools:
-    """(B,): some disc meets another, the border or a wall's surroundings on its `path` (MOVES, B, N, 2).
+    """(B,): whether some disc may touch another, the border or a wall along its `path` (MOVES, B, N, 2).
 
-    walls: (B, W, 2); pairs: the agents of each pair, twice (pairs,). False is certain; True may be said of
-    a disc that only gets near a wall.
+    walls: (B, W, 2); pairs: first and second agent of each pair, two arrays (pairs,). False is certain; True
+    may also mean that a disc only gets near a wall.
     """
     apart = path.take(pairs[0], axis=2)
     apart -= path.take(pairs[1], axis=2)

@@ -1,6 +1,6 @@
-"""Gymnasium's view of a task: a vector environment with one entry per team.
+"""A task as a Gymnasium vector environment with one entry per team.
 
-For algorithms that steer a whole team at once; the rewards of its agents stand in the infos.
+For algorithms that control a whole team at once. The agents' own rewards are in the infos.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, Array, NDArray[Any]]):
     | observations | (num_envs, N, D) float32 | what each agent sees |
     | actions | (num_envs, N, 2) float32 | in [-1, 1] |
     | rewards | (num_envs,) float64 | the mean over a team's agents |
-    | terminations, truncations | (num_envs,) bool | done; max_cycles are over and not done |
+    | terminations, truncations | (num_envs,) bool | done; max_cycles reached and not done |
     | infos["agent_reward"] | (num_envs, N) float64 | each agent's own reward |
     | infos["at_goal"] (discovery: "found") | (num_envs, N) bool | |
     | infos["agent_collision"], ["object_collision"] | (num_envs, N) bool | in the step just taken |
 
-    As everywhere in Gymnasium, infos["_<key>"] (num_envs,) says in which entries `key` means something, and
-    an episode that ended in mode SAME_STEP leaves its last observation and infos in "final_obs" and
-    "final_info". Mode and shapes are those of `SyncVectorEnv` over one team each.
+    As everywhere in Gymnasium, infos["_<key>"] (num_envs,) marks the entries in which `key` is valid. In mode
+    SAME_STEP, "final_obs" and "final_info" hold the last observation and infos of episodes that ended. Modes
+    and shapes are those of Gymnasium's `SyncVectorEnv` over single teams.
 
-    `reset(seed=s)` begins entry k with seed s + k; a sequence gives each entry its own. The episodes of an
-    entry are those that `TaskParallelEnv.reset(seed=s + k)` and its later `reset()` without a seed play.
-    `reset(options={"reset_mask": mask})` begins the entries of a (num_envs,) bool mask only.
+    `reset(seed=s)` begins entry k with seed s + k; a sequence gives each entry its own. An entry plays the
+    same episodes as `TaskParallelEnv` after `reset(seed=s + k)` and later `reset()` calls without a seed.
+    `reset(options={"reset_mask": mask})` begins only the entries of a (num_envs,) bool mask.
 
-    copies_per_space: 1, and an episode depends on nothing but its seed and actions, to the bit; 64 steps much
-    faster, for training, and equals that to rounding until somebody is touched. See `VectorEnv`.
+    copies_per_space: with 1, an episode depends only on its seed and actions, bit for bit. With more (64)
+    steps are much faster, for training, and agree up to rounding until the first contact. See `VectorEnv`.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, Array, NDArray[Any]]):
                 f"the episodes of entries {np.flatnonzero(self._over).tolist()} are over: begin new ones "
                 f'with reset(options={{"reset_mask": ...}}) before the next step.'
             )
-        beginning = self._over.copy()  # never any but in mode NEXT_STEP: these begin instead of stepping
+        beginning = self._over.copy()  # these reset instead of stepping; none outside mode NEXT_STEP
         played = ~beginning
         step = self._env.step(actions, played)
         terminated, truncated = step.terminated & played, step.truncated & played
@@ -114,7 +114,7 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, Array, NDArray[Any]]):
         return self._env.reset([self._rows[k].draw() for k in which], which)
 
     def _infos(self, step: Step, entries: Bools) -> Infos:
-        """Gymnasium's form: an array and a mask for every key, the array 0 where the mask is False."""
+        """An array and a mask for every key, as in Gymnasium; the array is 0 where the mask is False."""
         if not entries.any():
             return {}
         values = {

@@ -1,4 +1,4 @@
-"""Infos whose keys are there from `reset` on, for TorchRL."""
+"""A wrapper for TorchRL whose infos hold every key from `reset` on."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from xmarl_envs.parallel import Array, TaskParallelEnv
 class InfoAtReset(BaseParallelWrapper[str, Array, Array]):  # type: ignore[misc]  # no py.typed in pettingzoo
     """The same environment, but the infos of `reset` hold the keys of every step's, all False.
 
-    For `torchrl.envs.PettingZooWrapper`, which takes from a first `reset` what infos there are and drops all
-    others. Not for SuperSuit, which puts the infos of a reset over those of the step that ended the episode.
+    `torchrl.envs.PettingZooWrapper` keeps only the keys of the first `reset`. Not for use under SuperSuit:
+    it would overwrite the infos of an episode's last step with those of the reset.
     """
 
     env: TaskParallelEnv

@@ -1,4 +1,4 @@
-"""The PettingZoo face of a task: a ParallelEnv over a vector environment of one episode."""
+"""A task as a PettingZoo ParallelEnv: a vector environment of one episode."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Array = NDArray[np.float32]
 
 
 class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # no py.typed in pettingzoo
-    """One episode of `task` at a time, after PettingZoo's Parallel API.
+    """One episode of `task` at a time, with PettingZoo's Parallel API.
 
     Observations are float32 (obs_dim,); actions Box(-1, 1, (2,)); `state()` is all observations in agent
     order, (N * obs_dim,), for centralised critics. Each agent's info holds `at_goal` (discovery: `found`),
     `agent_collision` and `object_collision` of the step just taken; after `reset` it is empty.
 
-    Raises ValueError for actions that are missing, not finite or of another shape.
+    `step` raises ValueError if actions are missing, not finite or of another shape.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "is_parallelizable": True}
@@ -43,7 +43,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         self.render_mode = render_mode
         self._vector = VectorEnv(task, n_episodes=1, max_cycles=max_cycles)
         self._renderer: Renderer | None = None
-        self._track: Track | None = None  # of what was seen, for pictures; None without them
+        self._track: Track | None = None  # for pictures; None without a render mode
         self._seeds = SeedRow()
         self.possible_agents = [f"agent_{i}" for i in range(task.n_agents)]
         self.agents: list[str] = []
@@ -59,7 +59,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         return self._vector.max_cycles
 
     @max_cycles.setter
-    def max_cycles(self, cycles: int) -> None:  # PettingZoo's own parallel_api_test sets it
+    def max_cycles(self, cycles: int) -> None:  # PettingZoo's parallel_api_test sets it
         self._vector.max_cycles = cycles
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
@@ -71,7 +71,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
-        """Begin an episode. The same seed gives the same episode; without one, the next of a random row."""
+        """Begin an episode. The same seed gives the same episode; without one, `SeedRow` draws the next."""
         if seed is not None:
             self._seeds = SeedRow(seed)
         observation = self._vector.reset([self._seeds.draw()])[0]
@@ -80,7 +80,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
             self._track = Track(self._vector.state)
         if self.render_mode == "human":
             self.render()
-        # No infos: SuperSuit would put them in place of those of the step that ended the episode before.
+        # Empty infos: SuperSuit overwrites the infos of the previous episode's last step with them.
         return self._by_agent(observation), {agent: {} for agent in self.agents}
 
     def step(
@@ -122,7 +122,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         """(H, W, 3) uint8 with render_mode="rgb_array"; draws in a window with "human".
 
         mask: (N, N) in [0, 1], an explanation to draw over the team: `mask[i, j]` is the message from j to i.
-        Raises ValueError without a render mode, before the first `reset`, and for what is no such mask.
+        Raises ValueError without a render mode, before the first `reset`, and if the mask is invalid.
         """
         if self.render_mode is None:
             raise ValueError(
@@ -131,7 +131,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         if self._track is None:
             raise ValueError("nothing to render yet: call reset first.")
         if self._renderer is None:
-            # Here, not above: pygame is slow to import and greets on standard output.
+            # Imported lazily: pygame is slow to import and prints a greeting.
             from xmarl_envs.render import Renderer
 
             self._renderer = Renderer(self.task, window=self.render_mode == "human")
@@ -143,11 +143,11 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
             self._renderer = None
 
     def _in_order(self, actions: dict[str, Array]) -> NDArray[np.float64]:
-        """(1, N, 2): the agents' actions, or a sentence on the first that is wrong."""
+        """(1, N, 2): the agents' actions. Raises ValueError that names the first invalid one."""
         try:
             action = np.array([[actions[agent] for agent in self.agents]], dtype=np.float64)
         except (KeyError, ValueError):
-            action = np.empty(0)  # missing, or of several shapes: below
+            action = np.empty(0)  # missing or of different shapes: reported below
         if action.shape != (1, self.task.n_agents, 2):
             missing = [agent for agent in self.agents if agent not in actions]
             if missing:
@@ -173,7 +173,7 @@ class Constructors(NamedTuple):
 
 
 def make_constructors(task_class: type[Task]) -> Constructors:
-    """`parallel_env`, `env` and `raw_env` of a task, after PettingZoo's conventions.
+    """`parallel_env`, `env` and `raw_env` of a task, as PettingZoo names them.
 
     Each takes n_agents=3, max_cycles=None (the task's own), render_mode=None and the task's options.
     """

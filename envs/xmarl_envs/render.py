@@ -1,6 +1,4 @@
-"""Draws an episode with pygame: agents in colours of their own, what they head for, where they came from, and
-an explanation as arrows between them.
-"""
+"""Draws an episode with pygame: agents, targets, trails, and an explanation as arrows between agents."""
 
 from __future__ import annotations
 
@@ -17,11 +15,11 @@ from xmarl_envs.task import Floats, Task
 from xmarl_envs.team_painter import TeamPainter
 
 FPS = 20  # of a window: twice real time
-ZOOM = 1.25  # a team that leaves the picture makes it wider by this factor, as often as needed
+ZOOM = 1.25  # the picture widens by this factor until the team fits
 FADING = 60  # cycles after which a trail is at its faintest
-FADES = 6  # stretches of a trail, each of one tint
-LENS = 240  # pixels, width of the square that shows a huddle larger ...
-LEAST_MAGNIFIED = 1.3  # ... by this factor or more, or not at all
+FADES = 6  # segments of a trail, each of one tint
+LENS = 240  # pixels, width of the inset that magnifies a crowded team ...
+LEAST_MAGNIFIED = 1.3  # ... drawn only if it magnifies by at least this factor
 
 
 class Renderer:
@@ -48,8 +46,8 @@ class Renderer:
         """(HEADER + SIZE, SIZE, 3) uint8, or None when it went to the window.
 
         mask: (N, N) in [0, 1]; `mask[i, j]` becomes an arrow from j to i, wider and darker the larger it is,
-        and `mask[i, i]` a ring around i. title: what stands above instead of task and team size.
-        Raises ValueError for a mask of another shape or with values outside [0, 1].
+        and `mask[i, i]` a ring around i. title: replaces task and team size in the header.
+        Raises ValueError if the mask has another shape or values outside [0, 1].
         """
         values = None if mask is None else self._checked(mask)
         picture = self._picture(scene, values, title)
@@ -100,7 +98,7 @@ class Renderer:
         return canvas.picture()
 
     def _draw_lens(self, scene: Scene, mask: Floats) -> None:
-        """A team in a huddle again, larger, in the corner that is farthest from everything."""
+        """Draw a crowded team again, magnified, in the corner farthest from agents and targets."""
         canvas, lens, now = self._canvas, self._lens, scene.track[-1]
         lens.centre = (now.min(axis=0) + now.max(axis=0)) / 2
         lens.half_width = float(np.ptp(now, axis=0).max()) / 2 + 2.2 * self._task.radius
@@ -116,7 +114,7 @@ class Renderer:
         canvas.paste(lens, right, top, INK)
 
     def _draw_targets(self, targets: Floats) -> None:
-        """Goals in the colours of their agents; a landmark with the ranges it is sensed and covered in."""
+        """Draw goals in their agents' colours, or a landmark with its sensing and covering ranges."""
         task, canvas, colours = self._task, self._canvas, self._team.colours
         sensing, covering = (getattr(task, f"{verb}_range", None) for verb in ("sensing", "covering"))
         if sensing is None and covering is None and len(targets) == task.n_agents:

@@ -1,10 +1,10 @@
-"""stable-baselines3's view of a task: VecEnvs with one entry per agent and scalar rewards.
+"""A task as a stable-baselines3 VecEnv with one entry per agent and scalar rewards.
 
-Any algorithm of stable-baselines3 trains on them as they are; PPO then is independent PPO with shared
-parameters (de Witt et al. 2020, "Is Independent Learning All You Need in the StarCraft Multi-Agent
-Challenge?"). `AgentVecEnv` is our own; `SuperSuitVecEnv` is for those who need SuperSuit's wrappers.
+Any algorithm of stable-baselines3 trains on it unchanged; PPO then is independent PPO with shared parameters
+(de Witt et al. 2020, "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?").
+`AgentVecEnv` needs no other library; `SuperSuitVecEnv` is for those who need SuperSuit's wrappers.
 
-The only file of `xmarl_envs` that imports stable-baselines3, and nothing else here imports it.
+No other file of `xmarl_envs` imports stable-baselines3 or this module.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ StepReturn = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], 
 
 
 class OneObjectVecEnv(VecEnv):
-    """A VecEnv whose entries are rows of one object's arrays: attributes and methods are the object's own."""
+    """A VecEnv whose entries are rows of one object's arrays and share its attributes and methods."""
 
-    render_mode: str | None = None  # SB3 warns where it finds none
+    render_mode: str | None = None  # SB3 warns if it is missing
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         self._actions = actions
@@ -63,13 +63,13 @@ class AgentVecEnv(OneObjectVecEnv):
 
     infos, per entry: `at_goal` (discovery: `found`), `agent_collision` and `object_collision` of the step
     just taken, and `TimeLimit.truncated`; where an episode ended also `terminal_observation` (D,) and
-    `is_success`, which SB3 logs. Returns and lengths are `VecMonitor`'s to add.
+    `is_success`, which SB3 logs. Wrap it in `VecMonitor` for returns and lengths.
 
-    `seed(s)` (or `PPO(seed=s)`, or `seed=s` here) makes team k play from the next `reset()` on the episodes
-    that `TaskParallelEnv.reset(seed=s + k)` and its later `reset()` without a seed play.
+    After `seed(s)` (or `PPO(seed=s)`, or `seed=s` here) and a `reset()`, team k plays the same episodes as
+    `TaskParallelEnv` after `reset(seed=s + k)` and later `reset()` calls without a seed.
 
-    copies_per_space: 1, and an episode depends on nothing but its seed and actions, to the bit; 64 steps much
-    faster, for training, and equals that to rounding until somebody is touched. See `VectorEnv`.
+    copies_per_space: with 1, an episode depends only on its seed and actions, bit for bit. With more (64)
+    steps are much faster, for training, and agree up to rounding until the first contact. See `VectorEnv`.
     """
 
     def __init__(
@@ -144,15 +144,15 @@ class AgentVecEnv(OneObjectVecEnv):
 
 
 class SuperSuitVecEnv(OneObjectVecEnv):
-    """What SuperSuit's `concat_vec_envs_v1` makes, as a VecEnv that stable-baselines3 can seed.
+    """Makes a VecEnv that stable-baselines3 can seed of SuperSuit's `concat_vec_envs_v1`.
 
     SuperSuit 3.11's own, `base_class="stable_baselines3"`, raises AttributeError for `seed()`, `reset(seed=)`
-    and `PPO(seed=)`, and leaves out `TimeLimit.truncated`, so that algorithms take an episode that ran out
-    of time for one that ended.
+    and `PPO(seed=)`, and leaves out `TimeLimit.truncated`, so algorithms treat truncated episodes as
+    terminated.
 
     Args:
         venv: `concat_vec_envs_v1(pettingzoo_env_to_vec_env_v1(env), n)`, in one process (`num_cpus=0`, the
-            default): several processes would play the same episodes, for SuperSuit seeds them alike.
+            default): SuperSuit gives several processes the same seeds, so they would play the same episodes.
 
     Entry e is agent e % N of copy e // N; `seed(s)` seeds copy k with s + k.
     """

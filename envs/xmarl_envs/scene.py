@@ -1,4 +1,4 @@
-"""What a picture of an episode is drawn from: one moment of it, and what led there."""
+"""What a picture shows: one moment of an episode, and the steps before it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from xmarl_envs.vector_env import Step
 
 @dataclass(frozen=True)
 class Scene:
-    """One moment of one episode of N agents. Holds copies: the episode may go on."""
+    """One moment of one episode of N agents. Holds copies, so the episode may go on."""
 
     track: Floats  # (L, N, 2) m, positions from the start (or a while ago) to now; L >= 1
     targets: Floats  # (T, 2) m
@@ -41,7 +41,7 @@ class Track:
         return len(self._positions) - 1
 
     def add(self, state: State, step: Step) -> None:
-        """The step just taken, and the state it led to."""
+        """Record the step just taken and the state after it."""
         k = self._episode
         self._positions.append(state.position[k].copy())
         self._rewards.append(float(step.reward[k].mean()))
@@ -50,7 +50,7 @@ class Track:
         self._ended = "done" if step.terminated[k] else "time is over" if step.truncated[k] else ""
 
     def scene(self, cycle: int | None = None) -> Scene:
-        """The scene after so many steps, the last one by default."""
+        """The scene after `cycle` steps; by default after the last one."""
         cycle = self.cycles if cycle is None else cycle
         return Scene(
             track=np.stack(self._positions[: cycle + 1]),

@@ -1,4 +1,4 @@
-"""Which seeds the episodes of one environment get when they follow one another."""
+"""Seeds for the successive episodes of one environment."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 
 
 class SeedRow:
-    """Seeds of a row of episodes: `seed` itself, then random numbers that follow from it.
+    """Gives `seed` first, then random seeds that follow from it.
 
-    Without a seed all of them are random, drawn from fresh entropy when the first is asked for and not
-    before: copies of an environment made ahead of its first episode (as SuperSuit makes them) differ.
+    Without a seed all are random. Entropy is drawn with the first seed, not before, so copies of an unused
+    environment (as SuperSuit makes them) differ.
 
-    Raises ValueError for a negative seed, TypeError for one that is no whole number.
+    Raises ValueError if the seed is negative, TypeError if it is not an integer.
     """
 
     def __init__(self, seed: int | None = None) -> None:
@@ -23,7 +23,7 @@ class SeedRow:
         self._rng: np.random.Generator | None = None
 
     def draw(self) -> int:
-        """The seed of the next episode: the one that was given, or one below 2**31 (scoring's lie above)."""
+        """The seed of the next episode: the given one, or one below 2**31 (scoring uses larger ones)."""
         if self._rng is None:
             self._rng = np.random.default_rng(self._seed)
             if self._seed is not None:

@@ -1,4 +1,4 @@
-"""A Space for each episode, from beginning to end: it repeats bit for bit, whatever its neighbours do."""
+"""One Space per episode: an episode repeats bit for bit, whatever the others do."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class SeparateSpaces:
     def place(self, episodes: NDArray[np.intp], agents: Floats, walls: Floats) -> None:
         """Begin episodes (E,) with agents (E, N, 2) at rest and walls (E, W, 2).
 
-        Each in a Space built anew: nothing of earlier episodes can reach the new one.
+        Each gets a new Space, so that earlier episodes cannot influence it.
         """
         for row, episode in enumerate(episodes):
             chamber = self._chambers[episode]

@@ -1,7 +1,7 @@
-"""Spaces shared by many episodes: those in which something touches are in one, all others fly freely.
+"""Spaces shared by many episodes. Only episodes with a contact are in a Space; all others fly freely.
 
-Free flight is arithmetic on arrays, to the bit what a Space does. An episode enters a Space for the step in
-which it has a contact, and leaves after a whole step without one: Chipmunk then has nothing to remember.
+Free flight is arithmetic on arrays, with the same bits as in a Space. An episode enters a Space for the step
+in which it has a contact. It leaves after a whole step without one: Chipmunk then remembers nothing of it.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from xmarl_envs.task import Bools, Floats, Task
 
 FREE, COOLING = -1, -2  # slots without an episode; Chipmunk still remembers contacts of a cooling one
 NO_SLOT = -1
-ROUNDING = 1e-9  # m, m/s: contacts change where agents get to by more, the frame of a slot by less
+ROUNDING = 1e-9  # m, m/s: a contact changes the result by more, the frame of a slot by less
 SMALLEST_SPACE = (
     8  # slots; each further Space has twice as many as the last, so that few contacts cost little
 )
-# Of larger teams nearly every one has a contact, and looking for it among all pairs costs more than a Space.
+# Nearly every larger team has a contact, and checking all its pairs costs more than a Space.
 LARGEST_FLYING_TEAM = 8
 
 
@@ -29,14 +29,14 @@ class SharedSpaces:
     def __init__(self, task: Task, n_episodes: int, largest_space: int) -> None:
         self._task = task
         self._largest_space = largest_space
-        self._chambers: list[tuple[Chamber, slice]] = []  # and which of all slots are theirs
+        self._chambers: list[tuple[Chamber, slice]] = []  # each with its range of all slots
         self._occupant: NDArray[np.intp] = np.empty(0, dtype=np.intp)  # (slots of all Spaces,) -> episode
         self._slot: NDArray[np.intp] = np.full(n_episodes, NO_SLOT)  # (B,) -> slot
         self._touched: Bools = np.zeros(n_episodes, dtype=np.bool_)  # (B,) in the last step
         self._pairs = np.triu_indices(task.n_agents, k=1)
 
     def place(self, episodes: NDArray[np.intp], agents: Floats, walls: Floats) -> None:
-        """Begin episodes (E,), wherever their agents and walls are."""
+        """Begin episodes (E,): they fly freely until their first contact."""
         slots = self._slot[episodes]
         self._occupant[slots[slots != NO_SLOT]] = COOLING
         self._slot[episodes] = NO_SLOT
@@ -72,7 +72,7 @@ class SharedSpaces:
             thrust[slots] = force[inside]
             chamber.step(thrust)
             real_position, real_velocity = chamber.position[slots] - offset, chamber.velocity[slots]
-            # A correction that was due from the last step may have brought about another contact.
+            # An overlap correction left from the last step may have caused another contact.
             off_course = np.abs(real_position - end_position[inside]) > ROUNDING
             off_course |= np.abs(real_velocity - end_velocity[inside]) > ROUNDING
             self._touched[inside] |= off_course.any(axis=(1, 2))
@@ -83,7 +83,7 @@ class SharedSpaces:
         velocity[...] = end_velocity
 
     def _touches(self, path: Floats, walls: Floats) -> Bools:
-        """(B,): flying freely along `path` (MOVES, B, N, 2), somebody touches something."""
+        """(B,): whether an episode that flies freely along `path` (MOVES, B, N, 2) has a contact."""
         if self._task.n_agents > LARGEST_FLYING_TEAM:
             return np.ones_like(self._touched)
         return touching(self._task, path, walls, self._pairs)

@@ -1,7 +1,7 @@
-"""What a task is: rules over arrays of many episodes, and nothing of physics engines, APIs or drawing.
+"""The base class of tasks: rules over arrays of many episodes, without physics, APIs or drawing.
 
-Shapes stand on every field: B episodes, N agents, T targets (goals or landmarks), W wall boxes.
-Lengths are metres, times seconds, velocities m/s; angles do not exist (discs do not rotate).
+Every field states its shape: B episodes, N agents, T targets (goals or landmarks), W wall boxes.
+Lengths are in metres, times in seconds, velocities in m/s. Discs do not rotate, so there are no angles.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Bools = NDArray[np.bool_]
 
 
 class Layout(NamedTuple):
-    """Where an episode begins."""
+    """Positions at the start of an episode."""
 
     agents: Floats  # (N, 2) m
     targets: Floats  # (T, 2) m
@@ -27,7 +27,7 @@ class Layout(NamedTuple):
 
 
 class State(NamedTuple):
-    """What B episodes look like at one moment."""
+    """The state of B episodes at one moment."""
 
     position: Floats  # (B, N, 2) m
     velocity: Floats  # (B, N, 2) m/s
@@ -36,7 +36,7 @@ class State(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What one step brought."""
+    """The result of one step of B episodes."""
 
     reward: Floats  # (B, N)
     done: Bools  # (B,) the team is done
@@ -84,11 +84,11 @@ class Task(ABC):
 
     @abstractmethod
     def spawn(self, rng: np.random.Generator) -> Layout:
-        """Draw where an episode begins; all randomness of an episode is here."""
+        """Draw the start of an episode. Nothing else in an episode is random."""
 
     @abstractmethod
     def observe(self, state: State) -> Floats:
-        """(B, N, obs_dim): what each agent sees. Nothing of any other agent."""
+        """(B, N, obs_dim): what each agent observes. Must not depend on any other agent."""
 
     @abstractmethod
     def judge(self, before: Floats, state: State, contacts: Floats) -> Outcome:
@@ -99,7 +99,7 @@ class Task(ABC):
 
 
 def distance(a: Floats, b: Floats) -> Floats:
-    """(..., 2), (..., 2) -> (...) Euclidean distance. Written out: the same bits whatever the batch."""
+    """(..., 2), (..., 2) -> (...) Euclidean distance. Written out: the bits do not depend on the batch."""
     apart = a - b
     apart *= apart
     length: Floats = np.sqrt(apart[..., 0] + apart[..., 1])
@@ -109,13 +109,13 @@ def distance(a: Floats, b: Floats) -> Floats:
 def scatter(rng: np.random.Generator, n_points: int, half_width: float, spacing: float) -> Floats:
     """(n_points, 2) uniform in the square, pairwise at least `spacing` apart (each drawn until it fits).
 
-    Raises RuntimeError where the square is too crowded for that.
+    Raises RuntimeError if the square is too crowded.
     """
     points: list[tuple[float, float]] = []
     for _ in range(n_points):
         for _ in range(10_000):
             x, y = rng.uniform(-half_width, half_width, 2).tolist()
-            # Numbers, not arrays: the bits are the same, and teams are mostly small.
+            # Python floats give the same bits as arrays, and are faster for small teams.
             if all(sqrt((x - a) * (x - a) + (y - b) * (y - b)) >= spacing for a, b in points):
                 points.append((x, y))
                 break

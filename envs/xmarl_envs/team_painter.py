@@ -9,9 +9,9 @@ from xmarl_envs.colours import INK, Colour, agent_colours, readable_on
 from xmarl_envs.task import Bools, Floats, Task
 
 STAR = (214, 39, 40)
-FAINTEST = 0.05  # masks below it are not drawn; at 64 agents there are 4096
+FAINTEST = 0.05  # smaller mask values are not drawn: 64 agents have 4096
 LEGEND = (0.1, 0.5, 1.0)
-SMALL = 7.5  # pixels; the number of a smaller agent stands beside it
+SMALL = 7.5  # pixels; the number of a smaller agent is drawn beside it
 
 
 class TeamPainter:
@@ -38,22 +38,22 @@ class TeamPainter:
         radius = canvas.pixels(self._radius)
         if radius >= SMALL:
             canvas.label(centre, str(agent), float(np.clip(1.5 * radius, 13, 26)), colour)
-        else:  # beside a disc that it would hide
+        else:  # on the disc it would hide it
             canvas.label(centre + canvas.metres(radius + 4), str(agent), 13, INK)
 
     def draw_legend(self, canvas: Canvas) -> None:
-        """In the second line of the header, at the right."""
+        """Draw arrows of three mask values at the right of the header's second line."""
         pixel = canvas.metres(1)
         y = canvas.half_width + 18 * pixel
         for k, value in enumerate(LEGEND):
             x = canvas.half_width - (210 - 74 * k) * pixel
-            on = y + self._head(canvas, value) * pixel  # arrows lie beside their line
+            on = y + self._head(canvas, value) * pixel  # arrows are offset from their line
             self._draw_arrow(canvas, np.array([x, on]), np.array([x + 30 * pixel, on]), value, 0.0)
             canvas.label(np.array([x + 46 * pixel, y]), f"{value:g}", 20, INK)
         canvas.blend()
 
     def _draw_star(self, canvas: Canvas, centre: Floats) -> None:
-        """Spikes around who collides: a shape, for red alone is not seen by everybody."""
+        """Draw spikes around a colliding agent: a shape, because not everybody can see red."""
         angle = np.arange(24) * np.pi / 12
         radius = self._radius * np.where(np.arange(24) % 2, 1.1, 1.45)
         spikes = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -73,7 +73,7 @@ class TeamPainter:
                 self._draw_arrow(canvas, position[sender], position[receiver], value, self._radius)
 
     def _draw_arrow(self, canvas: Canvas, start: Floats, end: Floats, value: float, gap: float) -> None:
-        """From disc to disc, beside the arrow that goes the other way."""
+        """Draw an arrow from disc to disc, beside the opposite arrow."""
         length = float(np.hypot(*(end - start)))
         if length == 0.0:
             return
@@ -92,7 +92,7 @@ class TeamPainter:
         canvas.polygon(np.array(outline), INK, _opacity(value))
 
     def _width(self, canvas: Canvas, value: float) -> float:
-        """Pixels of an arrow or ring: less in large teams, and at most about an agent's radius."""
+        """Width in pixels of an arrow or ring: smaller in large teams, at most about an agent's radius."""
         widest = min(8.0, 1.5 + 30.0 / self._n_agents, canvas.pixels(self._radius))
         return 1.0 + value * widest
 
@@ -102,5 +102,5 @@ class TeamPainter:
 
 
 def _opacity(value: float) -> float:
-    """Its square root: the attention of a large team is small everywhere, and still to be seen."""
-    return min(float(np.sqrt(value)), 0.999)  # 1 would be drawn below the translucent ones
+    """The square root of the value, so that the small attention values of a large team stay visible."""
+    return min(float(np.sqrt(value)), 0.999)  # opaque shapes would lie below translucent ones

@@ -1,7 +1,7 @@
-"""Conformance: what a task promises to those who train on it, checked. For tasks of others, too.
+"""Conformance tests for tasks, yours included.
 
-`check_task(MyTask)` in a test is all that is needed. In a few seconds it plays some thousand steps and raises
-an AssertionError whose sentence says which promise was broken, and how, at the first one that is.
+Call `check_task(MyTask)` in a test. It plays some thousand steps in a few seconds. It raises an AssertionError
+that names the first broken promise and how it was broken.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from xmarl_envs.vector_env import VectorEnv
 MAX_STEPS = 1000  # of an episode that does not end by itself
 SIZES = (1, 2, 3, 4, 5, 8, 16, 32, 64)
 HASH_SEEDS = ("0", "12345")
-EPISODES_TRIED = 20  # for one that lasts as long as it may
+EPISODES_TRIED = 20  # to find one that lasts for all cycles
 EXTREMES = (1.0, 1e3, 1e6)  # m/s and m
 Make = Callable[..., Any]  # a ParallelEnv's constructor with its options bound
 
@@ -50,20 +50,24 @@ def check_task(task: type[Task] | Callable[..., Any], *, seed: int = 0, **option
     """Raise an AssertionError that names the first promise which the task breaks.
 
     Args:
-        task: a `Task` class, or a constructor of a PettingZoo ParallelEnv that takes `max_cycles` and, where
-            its metadata lists render modes, `render_mode`.
+        task: a `Task` class, or a constructor of a PettingZoo ParallelEnv that takes `max_cycles` and, if its
+            metadata lists render modes, `render_mode`.
         seed: of the episodes that are played.
-        options: handed to the task or constructor, e.g. `n_agents=5`.
+        options: passed to the task or constructor, e.g. `n_agents=5`.
 
-    Of every environment: PettingZoo's own tests of the parallel API, the turn-by-turn (AEC) API, seeds,
-    `max_cycles`, `state()` and rendering, none of them with a warning (but that spaces are unbounded); spaces
-    that contain all that is observed, also at full thrust; and whole episodes that differ from seed to seed,
-    and with one seed and the same actions are the same to the bit, whatever was played before, is played
-    beside it or is drawn, and in other processes with other hash seeds.
+    Checked for every environment:
+    - it passes PettingZoo's tests of the parallel API, the turn-by-turn (AEC) API, seeds, `max_cycles`,
+      `state()` and rendering without a warning (except that spaces are unbounded);
+    - its spaces contain every observation, also at full thrust;
+    - episodes of different seeds differ;
+    - one seed with the same actions gives the same bits, whatever was played before, is played beside it or
+      is drawn, and in other processes with other hash seeds.
 
-    Of a Task class also: no agent observes another; observations stay finite and in their space at any speed
-    and place; an episode does not depend on its neighbours in a batch; and every team size from 1 to
-    `max_agents` (tried up to 64) plays, the next ones below and above being refused.
+    Checked for a Task class too:
+    - no agent observes another;
+    - observations are finite and in their space at any speed and place;
+    - an episode does not depend on the others of its batch;
+    - every team size from 1 to `max_agents` (tried up to 64) plays, and those just outside are refused.
     """
     with _quiet_and_without_screen():
         if isinstance(task, type) and issubclass(task, Task):
@@ -80,7 +84,7 @@ def check_task(task: type[Task] | Callable[..., Any], *, seed: int = 0, **option
 
 
 def _check_environment(name: str, make: Make, episode: Callable[[], str], seed: int) -> None:
-    """What any ParallelEnv promises. episode: an episode's hash, asked of other processes."""
+    """Check the promises of any ParallelEnv. episode: returns an episode's hash, also in other processes."""
     with _promise(name, "it can be made and is a PettingZoo ParallelEnv"):
         env = make()
         assert isinstance(env, ParallelEnv), f"it is a {type(env).__name__}"
@@ -104,7 +108,7 @@ def _check_environment(name: str, make: Make, episode: Callable[[], str], seed: 
         others_pushes = Pushes(other, seed + 1)
 
         def step_the_other() -> None:
-            if not getattr(other, "agents", []):  # not every environment has them before its first reset
+            if not getattr(other, "agents", []):  # some environments have no agents before the first reset
                 other.reset(seed=seed + 1)
             other.step(others_pushes.next(other.agents))
 
@@ -149,8 +153,10 @@ def _check_pettingzoo(name: str, make: Make, renders: bool, seed: int) -> None:
 
 
 def _max_cycles_test(make: Make, seed: int) -> None:
-    """PettingZoo's test plays an episode without a seed and fails where the task happens to end before
-    `max_cycles`. Some episode of a task that keeps its promise does not: a few are tried, from seeds."""
+    """Run PettingZoo's `max_cycles_test` on seeded episodes until one passes.
+
+    It fails on an episode that ends before `max_cycles`; without seeds that would happen by chance.
+    """
 
     class Seeded(BaseParallelWrapper):  # type: ignore[misc]  # no py.typed in pettingzoo
         def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
@@ -158,7 +164,7 @@ def _max_cycles_test(make: Make, seed: int) -> None:
 
     def parallel_env(**options: Any) -> Seeded:
         env = Seeded(make(**options))
-        env.reset()  # some know their agents no sooner
+        env.reset()  # some have no agents before
         for k, agent in enumerate(env.possible_agents):
             env.action_space(agent).seed(episode + k)
         return env
@@ -176,7 +182,7 @@ def _max_cycles_test(make: Make, seed: int) -> None:
 
 
 def _check_contained(env: Any, seed: int, at_bounds: bool) -> None:
-    """An episode under random pushes, or at full thrust."""
+    """Check every observation and reward of an episode under random pushes, or at full thrust."""
     pushes = Pushes(env, seed, at_bounds)
     observations, _ = env.reset(seed=seed)
     for cycle in range(MAX_STEPS):
@@ -197,7 +203,7 @@ def _assert_contained(env: Any, agent: Any, observation: Any, when: str) -> None
 
 
 def _check_observations(task: Task, make: Make, seed: int) -> None:
-    """What a Task's observations promise on top, tried by moving the agents of an episode by hand."""
+    """Check the observations of a Task by moving the agents of an episode by hand."""
     name = task.name
     rng = np.random.default_rng(seed)
     with _promise(name, "no agent observes another"):
@@ -257,7 +263,7 @@ def _play_new(make: Make, seed: int) -> str:
 
 
 def _every(n: int, act: Callable[[], object]) -> Callable[[], None]:
-    """A function that does `act` at its first and then at every n-th call."""
+    """A function that calls `act` at its first call and then at every n-th."""
     calls = 0
 
     def maybe() -> None:
@@ -270,7 +276,7 @@ def _every(n: int, act: Callable[[], object]) -> Callable[[], None]:
 
 
 def _in_another_process(episode: Callable[[], str], hash_seed: str) -> str:
-    """What `episode` returns in a new Python with this PYTHONHASHSEED."""
+    """The result of `episode` in a new Python process with this PYTHONHASHSEED."""
     code = "import pickle, sys; print(); print(pickle.load(sys.stdin.buffer)())"
     path = os.pathsep.join(folder or str(Path.cwd()) for folder in sys.path)
     run = subprocess.run(
@@ -286,8 +292,11 @@ def _in_another_process(episode: Callable[[], str], hash_seed: str) -> str:
 
 @contextlib.contextmanager
 def _promise(name: str, promise: str) -> Iterator[None]:
-    """Whatever is raised inside becomes one sentence that names the promise. PettingZoo's tests only warn of
-    most faults, and say nothing in many assertions: then the sentence quotes the assertion."""
+    """Turn whatever is raised inside into an AssertionError that names the promise.
+
+    Warnings of PettingZoo's tests are errors: they report most faults only so. An assertion without a message
+    is quoted.
+    """
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("error", category=UserWarning, module=r"pettingzoo\.")
@@ -302,7 +311,7 @@ def _promise(name: str, promise: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _quiet_and_without_screen() -> Iterator[None]:
-    """PettingZoo's tests print that they passed; windows of pygame go nowhere unless a driver is set."""
+    """Silence PettingZoo's tests, and open no pygame windows unless a video driver is set."""
     driver = os.environ.get("SDL_VIDEODRIVER")
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
     try:

@@ -1,4 +1,4 @@
-"""Plays seeded episodes and hashes every bit of them: equal hashes are equal episodes."""
+"""Plays seeded episodes and hashes every bit of them: equal hashes mean equal episodes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ HELD = 10  # steps for which an agent keeps its action; white noise would hardly
 
 
 class Pushes:
-    """Random actions for each agent of a ParallelEnv, out of its action space, held for a while.
+    """Random actions for each agent of a ParallelEnv, sampled from its action space and held for HELD steps.
 
-    They follow from the seed and the agent's place in `possible_agents`, and on nothing that happens.
-    at_bounds: bounded boxes are sampled at their bounds.
+    They depend only on the seed and the agent's place in `possible_agents`.
+    at_bounds: sample bounded boxes at their bounds.
     """
 
     def __init__(self, env: Any, seed: int, at_bounds: bool = False) -> None:
         self._spaces: dict[Any, spaces.Space[Any]] = {}
         self._rngs: dict[Any, np.random.Generator] = {}
         for i, agent in enumerate(env.possible_agents):
-            # A copy: sampling draws from a generator inside of the space, which belongs to the environment.
+            # A copy: sampling would advance the environment's own generator inside the space.
             self._spaces[agent] = deepcopy(env.action_space(agent))
             self._spaces[agent].seed(seed + i)
             self._rngs[agent] = np.random.default_rng([seed, i])
@@ -52,10 +52,10 @@ class Pushes:
 
 
 def play_env(env: Any, seed: int, max_steps: int, after_step: Callable[[], object] | None = None) -> str:
-    """One episode of a ParallelEnv: the hash of all that `reset` and `step` return.
+    """Play one episode of a ParallelEnv; returns the hash of everything `reset` and `step` return.
 
-    The pushes are random but always the same: what differs from seed to seed is the environment's doing.
-    after_step: called after the reset and after each step, between the environment's own doings.
+    The pushes are the same for every seed, so differences between seeds come from the environment.
+    after_step: called after the reset and after each step.
     """
     digest = hashlib.sha256()
     pushes = Pushes(env, seed=0)
@@ -70,7 +70,7 @@ def play_env(env: Any, seed: int, max_steps: int, after_step: Callable[[], objec
 
 
 def feed(digest: Any, value: Any) -> None:
-    """Add numbers, arrays and text to a hash, also in containers; a mapping in the order of its keys."""
+    """Add numbers, arrays and text to a hash, also in containers; mappings in sorted order of their keys."""
     if isinstance(value, Mapping):
         for key in sorted(value, key=str):
             digest.update(str(key).encode())
@@ -87,16 +87,16 @@ def feed(digest: Any, value: Any) -> None:
 
 
 def play_task(task: Task, seed: int) -> str:
-    """One episode of a task, alone in its batch: see `play`."""
+    """Play one episode of a task, alone in its batch; returns its hash. See `play`."""
     return play(VectorEnv(task), seed)[0]
 
 
 def play(env: VectorEnv, seed: int, slot: int = 0, meddling: bool = False) -> tuple[str, int]:
-    """One episode in `slot` of a batch: the hash of its observations, rewards and events, and its contacts.
+    """Play the episode in `slot` of a batch; returns the hash of all its steps and its number of contacts.
 
-    The team pushes at random and to the middle of its goals (or away from a landmark, for the episode to
-    last), so that agents and walls are touched.
-    meddling: the other slots play other episodes, begin anew at odd moments, and drop out.
+    The team pushes at random and towards the middle of its goals (or away from a landmark, so that the
+    episode lasts), which causes contacts with agents and walls.
+    meddling: the other slots begin new episodes and drop out at random moments.
     """
     digest = hashlib.sha256()
     rng = np.random.default_rng([seed, 1])
@@ -125,7 +125,7 @@ def play(env: VectorEnv, seed: int, slot: int = 0, meddling: bool = False) -> tu
 
 
 def meeting_point(env: VectorEnv, slot: int) -> NDArray[np.float64]:
-    """(2,) m: where the team of one episode gets in one another's way."""
+    """(2,) m: the point to which the team is pushed."""
     targets = env.state.targets[slot]
     if len(targets) == env.task.n_agents:
         return np.asarray(targets.mean(axis=0))

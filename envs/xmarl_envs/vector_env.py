@@ -1,5 +1,5 @@
-"""Many episodes of one task, stepped together. Training and scoring both run on this class,
-and the PettingZoo shell is this class with one episode.
+"""Many episodes of one task, stepped together. Training and scoring run on `VectorEnv`; the PettingZoo
+environment is one with a single episode.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from xmarl_envs.world import World
 
 
 class Step(NamedTuple):
-    """What a step returns, for all B episodes."""
+    """The result of a step of all B episodes."""
 
     observation: NDArray[np.float32]  # (B, N, D)
     reward: Floats  # (B, N)
     terminated: Bools  # (B,) the team is done
-    truncated: Bools  # (B,) max_cycles are over and the team is not done
+    truncated: Bools  # (B,) max_cycles reached and the team not done
     success: Bools  # (B, N)
     agent_collision: Bools  # (B, N)
     object_collision: Bools  # (B, N)
 
 
 class VectorEnv:
-    """B episodes of `task`, each reset when its owner says so.
+    """B episodes of `task`. The caller resets each of them.
 
     Args:
         task: the rules, e.g. `BlindNavigation(n_agents=3)`.
         n_episodes: B.
         max_cycles: steps until truncation; the task's own number by default.
-        copies_per_space: 1 (each episode its own physics, repeats bit for bit) or more (faster: training).
+        copies_per_space: 1 (each episode has its own physics, repeats bit for bit) or more (faster: training).
     """
 
     def __init__(
@@ -51,13 +51,13 @@ class VectorEnv:
         probe = task.spawn(np.random.default_rng(0))
         self._targets: Floats = np.zeros((n_episodes, *probe.targets.shape))
         self._walls: Floats = np.zeros((n_episodes, *probe.walls.shape))
-        # Arrays of one number: a Python number takes numpy longer than the arithmetic of a small team.
+        # 0-d arrays: numpy takes longer to convert a Python float than to compute a small team.
         self._contact_distance = np.array(2 * task.radius + task.collision_gap)
         self._u_mult, self._one = np.array(task.u_mult), np.array(1)
         self._action_shape = (n_episodes, n_agents, 2)
         self._first, self._second = np.triu_indices(n_agents, k=1)
         pairs = np.arange(self._first.size)
-        # (pairs, N): which agents a pair is made of; a boolean (B, pairs) times it counts partners.
+        # (pairs, N): 1 for both agents of a pair; contacts (B, pairs) @ it counts each agent's partners.
         self._incidence: Floats = np.zeros((self._first.size, n_agents))
         self._incidence[pairs, self._first] = 1.0
         self._incidence[pairs, self._second] = 1.0
@@ -71,7 +71,7 @@ class VectorEnv:
     def reset(self, seeds: Sequence[int], episodes: ArrayLike | None = None) -> NDArray[np.float32]:
         """Begin the given episodes (all by default), one seed each; returns all observations (B, N, D).
 
-        An episode depends on its seed and on the actions taken in it, and on nothing else.
+        With one copy per Space, an episode depends only on its seed and on the actions taken in it.
         """
         which = np.arange(self.n_episodes) if episodes is None else np.atleast_1d(np.asarray(episodes))
         whole = which.size == 0 or np.issubdtype(which.dtype, np.integer)
@@ -98,7 +98,7 @@ class VectorEnv:
     def step(self, action: NDArray[np.floating], live: Bools | None = None) -> Step:
         """Apply actions (B, N, 2), clipped to [-1, 1], for one cycle of 0.1 s.
 
-        live: (B,) episodes that still matter; the others may be left unmoved, and their results mean nothing.
+        live: (B,) episodes to advance. The others may stay as they are; ignore their results.
         """
         if action.shape != self._action_shape:
             raise ValueError(f"actions must have shape {self._action_shape}, got {action.shape}.")
@@ -109,7 +109,7 @@ class VectorEnv:
         if largest > 1.0:
             action = np.clip(action, -1.0, 1.0)
         before = self.world.position.copy()
-        self.world.step(action * self._u_mult, live)  # float64, whatever the actions are
+        self.world.step(action * self._u_mult, live)  # float64, whatever dtype the actions have
         self.cycles += self._one
         position = self.world.position
         # `take`: indexing an axis in the middle is 15 times slower.

@@ -1,9 +1,9 @@
-"""Rigid-body physics of many episodes at once: where the agents are, and how they move on.
+"""Rigid-body physics of many episodes at once.
 
-One parameter: `copies_per_space`. With 1, each episode has a pymunk Space of its own and repeats bit for bit:
-that is what scoring uses. With more, episodes share Spaces, and only those in which something touches are in
-one: many times faster, for training. Until its first contact an episode then has the same bits; what follows
-agrees to rounding, and in a crowd (where the order of contacts matters) no further than physics does.
+With `copies_per_space` 1, which scoring uses, each episode has its own pymunk Space and repeats bit for bit.
+With more, which training uses, episodes share Spaces, and only those with contacts are in one: many times
+faster. Until its first contact an episode then has the same bits. Afterwards it agrees up to rounding, which a
+crowd amplifies, because there the order of contacts matters.
 """
 
 from __future__ import annotations
@@ -52,6 +52,6 @@ class World:
     def step(self, force: Floats, live: Bools | None = None) -> None:
         """Advance by TIME_STEP under constant forces (B, N, 2) in newton.
 
-        live: (B,) episodes that matter; the others may be left as they are.
+        live: (B,) episodes to advance; the others may stay as they are.
         """
         self._spaces.step(self.position, self.velocity, force, self._walls, live)

@@ -1,4 +1,4 @@
-"""One policy per task that may see everything: it shows that the task can be solved, and demonstrates how."""
+"""One heuristic per task that sees the whole state: it shows that the task can be solved."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["heuristic"]
 
 
 def heuristic(task: Task, state: State) -> Floats:
-    """(B, N, 2) actions in [-1, 1] of the task's heuristic. Raises TypeError for a task that has none."""
+    """(B, N, 2) actions in [-1, 1] of the task's heuristic. Raises TypeError if the task has none."""
     if isinstance(task, BlindNavigation):
         return drive(task, state)
     if isinstance(task, BlindPassage):

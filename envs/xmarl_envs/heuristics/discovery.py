@@ -1,7 +1,7 @@
-"""Blind discovery: fly straight and bounce off the borders; come to whoever senses the landmark.
+"""Blind discovery: fly straight and bounce off the borders; fly to the agent that senses the landmark.
 
-Unlike the other two it uses nothing that the team does not observe: what is missing from an observation is
-where the partners are, and a team that tells each other everything could act like this.
+Unlike the other two it uses only what the team observes: a team whose agents share all their observations
+could act like this.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from xmarl_envs.task import Floats, State, distance
 
 SPEED = 0.36  # m/s; full force reaches 0.37
 BORDER = 0.1  # m over which a border turns agents back
-CIRCLING = 0.07  # rad per cycle; who senses the landmark circles, slower, so as not to lose it
+CIRCLING = 0.07  # rad per cycle; an agent that senses the landmark circles slowly to stay near it
 SLOW = 0.6  # fraction of SPEED
 
 

@@ -1,4 +1,4 @@
-"""Blind navigation with open eyes: straight to the goal; who is nearer to its own goes first."""
+"""Navigation with full sight: straight to the goal; the agent nearer to its goal goes first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blind passage with open eyes: line up below the gap, go through one by one, spread to the goals."""
+"""Passage with full sight: line up below the gap, go through one by one, spread to the goals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xmarl_envs.task import Floats, State, distance
 SPEED = 0.26  # m/s, about what full force reaches
 MARGIN = 0.015  # m kept between surfaces, beyond the distance that counts as a collision
 SIGHT = 0.16  # m
-CENTRED = 0.012  # m beside the middle of the gap at which an agent may enter it
+CENTRED = 0.012  # m; an agent this close to the middle of the gap may enter it
 WAITING_LINE = 0.175  # m below the middle of the wall ...
 SLOPE = 0.6  # ... and lower by this much per metre beside the gap
 
@@ -31,10 +31,10 @@ def queue(task: BlindPassage, state: State) -> Floats:
     climb = np.where(inside, SPEED, rise)
     approach = at_most(np.stack([np.clip(2.5 * x, -SPEED, SPEED), climb], axis=-1), SPEED)
     wanted = np.where(beyond[..., None], towards(state.position, state.targets, SPEED), approach)
-    # Who is through goes first (the nearer to its goal, the sooner), then who is in the gap, then the queue.
+    # Agents beyond the wall go first (nearest to the goal first), then those in the gap, then the queue.
     left = distance(state.position, state.targets)
     waiting = distance(state.position, gap - np.array([0.0, half]))
     rank = np.where(beyond, left - 100.0, np.where(inside, -50.0 - y, waiting))
     clearance = 2 * task.radius + task.collision_gap + MARGIN
-    sight = np.where(beyond, np.minimum(SIGHT, left + 0.02), 0.0)  # the queue passes nobody
+    sight = np.where(beyond, np.minimum(SIGHT, left + 0.02), 0.0)  # no overtaking in the queue
     return force(task, give_way(state.position, wanted, rank, clearance, sight), state.velocity)

@@ -1,4 +1,4 @@
-"""What the heuristics share: wanted velocities, giving way, and the force that brings a velocity about."""
+"""Shared by the heuristics: wanted velocities, giving way, and the force that reaches a velocity."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import numpy as np
 from xmarl_envs.task import Floats, Task
 from xmarl_envs.world import TIME_STEP, VELOCITY_KEPT
 
-REACTION = 1.0  # 1/s; how fast a gap to somebody who goes first may be used up
+REACTION = 1.0  # 1/s; rate at which the gap to an agent that goes first may shrink
 
-# N per m/s: what it takes to keep a velocity against the drag, and to correct one. The correction is soft:
-# a stiff one gains nothing in success or safety.
+# N per m/s: to hold a velocity against the drag, and to correct one. A stiffer correction gains nothing in
+# success or safety.
 HOLD = (1.0 - VELOCITY_KEPT**0.5) * 2 / TIME_STEP  # two substeps
 CORRECT = 2.0
 
@@ -21,7 +21,7 @@ def unit(vector: Floats) -> Floats:
 
 
 def towards(position: Floats, target: Floats, speed: float, gain: float = 2.0) -> Floats:
-    """(..., 2) wanted velocity in m/s: straight to the target, slower from speed / gain metres on."""
+    """(..., 2) wanted velocity in m/s: straight to the target, slowing down within speed / gain metres."""
     to = target - position
     return np.asarray(unit(to) * np.minimum(gain * _length(to), speed))
 
@@ -32,9 +32,9 @@ def at_most(velocity: Floats, speed: float) -> Floats:
 
 
 def partners(position: Floats, itself: float) -> tuple[Floats, Floats]:
-    """(B, N, 2) m -> ways from j to i at [b, i, j], (B, N, N, 2), and their lengths, (B, N, N).
+    """(B, N, 2) m -> offsets from j to i at [b, i, j], (B, N, N, 2), and their lengths, (B, N, N).
 
-    itself: the length that is put where i is j.
+    itself: the length on the diagonal.
     """
     apart = position[:, :, None] - position[:, None, :]
     length = _length(apart)[..., 0]
@@ -44,18 +44,17 @@ def partners(position: Floats, itself: float) -> tuple[Floats, Floats]:
 
 
 def force(task: Task, wanted: Floats, velocity: Floats) -> Floats:
-    """(B, N, 2) action in [-1, 1] that keeps, or brings about, the velocity `wanted` in m/s."""
+    """(B, N, 2) action in [-1, 1] that reaches and holds the velocity `wanted` in m/s."""
     newtons = HOLD * wanted + CORRECT * (wanted - velocity)
     return np.asarray(np.clip(newtons / task.u_mult, -1.0, 1.0))
 
 
 def give_way(position: Floats, wanted: Floats, rank: Floats, clearance: float, sight: Floats) -> Floats:
-    """Wanted velocities made safe, agent after agent: who has the lower rank goes first.
+    """Make wanted velocities safe, one agent after another: the lower rank goes first.
 
-    position, wanted: (B, N, 2); rank: (B, N). Each agent passes those before it on the side that is nearer
-    (where one stands within `sight` (B, N) metres of its way), and closes in on none of them faster than
-    REACTION times the room left beyond `clearance`, a distance between centres (a control barrier function:
-    Ames et al. 2019).
+    position, wanted: (B, N, 2); rank: (B, N); sight: (B, N) m. An agent passes those of lower rank that stand
+    in its way within `sight` on the nearer side. It approaches none of them faster than REACTION times the
+    room left beyond `clearance`, a distance between centres (a control barrier function: Ames et al. 2019).
     """
     order = rank.argsort(axis=1, kind="stable")[..., None]
     place, wish = np.take_along_axis(position, order, axis=1), np.take_along_axis(wanted, order, axis=1)
@@ -71,7 +70,7 @@ def give_way(position: Floats, wanted: Floats, rank: Floats, clearance: float, s
 
 
 def _pass_by(velocity: Floats, offset: Floats, clearance: float, reach: Floats) -> Floats:
-    """(B, 2): turned by up to 45 degrees away from each partner, one after the other, that stands in the way.
+    """(B, 2): velocities turned by up to 45 degrees away from each partner in the way, one after the other.
 
     velocity: (B, 2); offset: (B, K, 2) of the partners; reach: (B,) m.
     """
@@ -89,20 +88,20 @@ def _pass_by(velocity: Floats, offset: Floats, clearance: float, reach: Floats) 
         side = np.where(aside[episode, first] >= 0, 1.0, -1.0)[:, None]
         turned = unit(heading + side * right_of_it[episode, first]) * _length(velocity)
         velocity = np.where(nobody[:, None], velocity, turned)
-        # What is left to look at: partners after the one just passed.
+        # Go on with the partners after the one just passed.
         near &= (np.arange(near.shape[1]) > first[:, None]) & ~nobody[:, None]
     return velocity
 
 
 def _keep_off(velocity: Floats, theirs: Floats, offset: Floats, clearance: float) -> Floats:
-    """(B, 2): without what is too fast towards each of the partners, one after the other.
+    """(B, 2): velocities without the excess speed towards each partner, one after the other.
 
     velocity: (B, 2); theirs, offset: (B, K, 2) velocities and offsets of the partners.
     """
     # Partners first: each turn of the loop then reads contiguous memory.
     others, bearings = np.moveaxis(theirs, 1, 0).copy(), np.moveaxis(unit(offset), 1, 0).copy()
     allowed = REACTION * np.moveaxis(_length(offset)[..., 0] - clearance, 1, 0)
-    for _ in range(2):  # keeping off one may push into another
+    for _ in range(2):  # twice: avoiding one partner may lead towards another
         for other, bearing, limit in zip(others, bearings, allowed, strict=True):
             relative = velocity - other
             towards_it = relative * bearing

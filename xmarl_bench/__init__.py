@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from xmarl_bench.rollout.evaluation import Performance, evaluate
     from xmarl_bench.scoring.score import score
 
-_HOME = {
+_MODULES = {
     "Architecture": "policy",
     "CompleteGraph": "policy",
     "Entry": "entry.schema",
@@ -73,9 +73,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _MODULES:
         raise AttributeError(f"module 'xmarl_bench' has no attribute {name!r}")
-    value = getattr(import_module(f"xmarl_bench.{_HOME[name]}"), name)
+    value = getattr(import_module(f"xmarl_bench.{_MODULES[name]}"), name)
     globals()[name] = value
     return value
 

@@ -1,4 +1,4 @@
-"""What makes a score a function of its arguments: seeds by name, never by order, and one thread."""
+"""Makes a score a function of its arguments: seeds derived from names, never from order, and one thread."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from xmarl_bench.errors import InputError
 
-# Scoring episodes begin above every seed that training draws (below 2**31), and stay below 2**53, where
+# Seeds of scoring lie above every seed that training draws (below 2**31), and below 2**53, up to which
 # readers of JSON in other languages keep integers exact.
 FIRST_SEED = 10**12
 SEEDS_PER_RUN = 10**6
@@ -20,10 +20,11 @@ SEEDS_PER_RUN = 10**6
 def episode_seeds(seed: int, episodes: int) -> list[int]:
     """The environment seeds of a scoring run: 10^12 + seed * 10^6 + k for k = 0 .. episodes - 1.
 
-    A run with fewer episodes plays the first ones of a longer run. Raises InputError out of range.
+    A run with fewer episodes plays the first ones of a longer run. Raises InputError if an argument is out of
+    range.
     """
     if not 0 <= seed < 10**9:
-        raise InputError(f"seed must be in [0, 10^9), got {seed}: choose a smaller or positive one.")
+        raise InputError(f"seed must be in [0, 10^9), got {seed}: choose a number in that range.")
     if not 1 <= episodes <= SEEDS_PER_RUN:
         raise InputError(
             f"episodes must be in [1, {SEEDS_PER_RUN}], got {episodes}: choose a number in that range."
@@ -32,15 +33,15 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
 
 
 def derived_seed(*parts: int | str) -> int:
-    """A seed in [0, 2^63) from names and numbers, the same in every process and Python version."""
+    """A seed in [0, 2^63) derived from names and numbers, the same in every process and Python version."""
     digest = hashlib.sha256("\x1f".join(str(part) for part in parts).encode()).digest()
     return int.from_bytes(digest[:8], "big") >> 1
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """torch on one thread: matrix products round differently when they are split among several."""
-    import torch  # here and below: seeds are had without it
+    """Run torch on one thread: matrix products round differently when several threads share them."""
+    import torch  # imported lazily, here and below: deriving seeds does not need torch
 
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -52,7 +53,7 @@ def one_thread() -> Iterator[None]:
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """The global random states of torch, numpy and Python: seeded inside, afterwards as they were before."""
+    """Seed the global random states of torch, numpy and Python for the block, and restore them afterwards."""
     import torch
 
     numpy_state, python_state = np.random.get_state(), random.getstate()  # noqa: NPY002

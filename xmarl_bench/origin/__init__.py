@@ -1,1 +1,1 @@
-"""Where code came from: the object that a reference names, its distribution, version and hash."""
+"""Where code came from: the object that a reference points to, its distribution, version and hash."""

@@ -1,4 +1,4 @@
-"""What is installed: versions of distributions, which of them a module belongs to, and what is own code."""
+"""Installed distributions: their versions, which one a module belongs to, and which code is the user's."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ INSTALLED = {"site-packages", "dist-packages"}
 
 
 def package_version(name: str) -> str | None:
-    """Of a distribution; None if it is not installed."""
+    """The version of a distribution; None if it is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -21,14 +21,14 @@ def package_version(name: str) -> str | None:
 
 
 def distribution_of(module: str) -> str | None:
-    """The installed package that a module is of, by its top-level name."""
+    """The distribution that a module belongs to, by its top-level name; None if it is not installed."""
     return next(iter(_distributions().get(module.split(".")[0], [])), None)
 
 
 def is_own(module: str) -> bool:
-    """Whether the code of a module lies outside of what is installed: an editable install is own code too.
+    """Whether a module is the user's own code: outside site-packages, so editable installs count too.
 
-    Nothing is imported to find out.
+    Imports nothing.
     """
     top = module.partition(".")[0]
     if top in HARNESS or top in sys.stdlib_module_names:
@@ -37,7 +37,7 @@ def is_own(module: str) -> bool:
 
 
 def places_of(module: str) -> list[Path]:
-    """The folders of the top-level package that is loaded, or its file; none for what was typed in."""
+    """The folders of a loaded top-level package, or its file; empty for code typed into an interpreter."""
     top = sys.modules.get(module.partition(".")[0])
     file = getattr(top, "__file__", None)
     folders = [*getattr(top, "__path__", [])]

@@ -1,4 +1,4 @@
-"""Objects named by where their code is, `path/to/file.py:Name` or `module:Name`, and what pins it down."""
+"""Loads objects by reference, `path/to/file.py:Name` or `module:Name`, and records where they came from."""
 
 from __future__ import annotations
 
@@ -23,29 +23,31 @@ from xmarl_bench.origin.installed import distribution_of, is_own, package_versio
 
 @dataclass(frozen=True)
 class Origin:
-    """Where code came from, as an entry records it. Paths of a machine stay out of it."""
+    """Where code came from, as an entry records it. Holds no path of this machine."""
 
-    distribution: str | None  # installed package that holds it
+    distribution: str | None  # None: not from an installed package
     version: str | None
     entry_point: str  # "module:Name" or "file.py:Name"
-    # Of the file, or of an object's own source; None for an installed package.
+    # Hash of the file or of the object's source; None for an installed package.
     code_sha256: str | None = None
 
 
 def is_reference(name: str) -> bool:
-    """Whether `name` says where code is; what an entry point registers holds no colon."""
+    """Whether `name` is a reference to code: registered names hold no colon."""
     return ":" in name
 
 
 def load_reference(reference: str) -> tuple[Any, Origin]:
-    """The object and its origin. This runs the code of the file or module.
+    """The object and its origin. Runs the code of the file or module.
 
-    A module must be importable; the folder of the command is not searched. Raises InputError where there is
-    no such file, module or name, and where importing it fails, with its error.
+    A module must be importable: the working directory is not searched. Raises InputError if the file, module
+    or name does not exist, or if importing it fails.
     """
     place, _, name = reference.rpartition(":")
     if not place or not all(part.isidentifier() for part in name.split(".")):
-        raise InputError(f"{reference!r} names no object: give path/to/file.py:Name or module:Name.")
+        raise InputError(
+            f"{reference!r} is not a reference to an object: give path/to/file.py:Name or module:Name."
+        )
     is_file = place.endswith(".py") or len(Path(place).parts) > 1
     sha256 = None
     if is_file:
@@ -65,9 +67,9 @@ def load_reference(reference: str) -> tuple[Any, Origin]:
 
 
 def origin_of(found: object) -> Origin:
-    """Of an object that was handed over: the installed package it is of, or the hash of its own source.
+    """The origin of an object in memory: its installed package, or the hash of its own source.
 
-    The hash covers the source of the function or class, where Python has it, and nothing that it calls.
+    The hash covers the source of the function or class, if Python finds it, and nothing that it calls.
     """
     code = found if inspect.isroutine(found) or inspect.isclass(found) else type(found)
     where = f"{code.__module__}:{code.__qualname__}"
@@ -82,10 +84,10 @@ def origin_of(found: object) -> Origin:
 
 
 def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
-    """A module of its own for each content of the file.
+    """Import a file as a module whose name includes the hash of its content.
 
-    Modules beside it can be imported, as from a script; they too are read anew each time, and sent to worker
-    processes by value.
+    It can import modules beside it, as a script can. All of them are read anew each time, and pickled by
+    value for worker processes.
     """
     try:
         source = path.read_bytes()
@@ -95,9 +97,9 @@ def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
     name = f"{path.stem}_{sha256[:12]}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise InputError(f"{path} is no Python file: give path/to/file.py:Name.")
+        raise InputError(f"{path} is not a Python file: give path/to/file.py:Name.")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up there
+    sys.modules[name] = module  # dataclasses look up their module there
     try:
         with _neighbours(path.parent.resolve()):
             spec.loader.exec_module(module)
@@ -110,7 +112,7 @@ def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
 
 @contextmanager
 def _neighbours(folder: Path) -> Iterator[None]:
-    """Its modules can be imported, and are forgotten afterwards: another folder may name its own alike."""
+    """Make modules of a folder importable, then unload them: another folder may hold the same names."""
     importlib.invalidate_caches()
     before, compiles = set(sys.modules), sys.dont_write_bytecode
     sys.path.insert(0, str(folder))
@@ -134,8 +136,8 @@ def _import_module(name: str, reference: str) -> ModuleType:
 
 def _failed(reference: str, error: BaseException) -> InputError:
     return InputError(
-        f"{reference} failed to load ({type(error).__name__}: {error}): correct it, or give "
-        f"path/to/file.py:Name or module:Name of something else."
+        f"{reference} failed to load ({type(error).__name__}: {error}): correct it, or give another "
+        f"path/to/file.py:Name or module:Name."
     )
 
 
@@ -145,7 +147,7 @@ def _of_file(module: ModuleType) -> str | None:
 
 
 def _public(module: ModuleType) -> list[str]:
-    """What the module itself defines, for an error."""
+    """Public names that the module itself defines, for an error message."""
     return [
         name
         for name, value in vars(module).items()

@@ -1,1 +1,1 @@
-"""One function over many units of work, in this process, in others or on a cluster."""
+"""One function over many units of work, in this process, in worker processes or on a cluster."""

@@ -1,6 +1,6 @@
-"""Where units of work run: processes of loky on this machine, or a cluster of Ray or Dask.
+"""Where units of work run: loky processes on this machine, or a Ray or Dask cluster.
 
-Each is one `submit(function, *args) -> concurrent.futures.Future`, through public interfaces alone.
+Each backend offers `submit(function, *args) -> concurrent.futures.Future`, and uses public interfaces only.
 """
 
 from __future__ import annotations
@@ -26,36 +26,36 @@ from xmarl_bench.parallel.calls import kept_in
 from xmarl_bench.parallel.program_end import pools
 from xmarl_bench.parallel.workers import Workers
 
-CONNECT_SECONDS = 20.0  # for a cluster to answer
-WORKER_SECONDS = 60.0  # for the first worker of a cluster to be there
-IDLE_SECONDS = 300.0  # after which a process of loky ends
-RAY_STORE_BYTES = 200 * 2**20  # shared memory of a Ray that is started here; results pass through it
+CONNECT_SECONDS = 20.0  # timeout for a cluster to answer
+WORKER_SECONDS = 60.0  # timeout for a cluster's first worker
+IDLE_SECONDS = 300.0  # idle loky processes end after this time
+RAY_STORE_BYTES = 200 * 2**20  # shared memory of a Ray that we start; results pass through it
 LIBRARIES = ("OMP_NUM", "MKL_NUM", "OPENBLAS_NUM", "BLIS_NUM", "VECLIB_MAXIMUM", "NUMBA_NUM", "NUMEXPR_NUM")
-ONE_THREAD = {f"{library}_THREADS": "1" for library in LIBRARIES}  # workers do not fight for cores
+ONE_THREAD = {f"{library}_THREADS": "1" for library in LIBRARIES}  # workers do not compete for cores
 
 
 @dataclass(frozen=True)
 class Backend:
-    """Workers that are ready."""
+    """Connected workers."""
 
     submit: Callable[..., Future[Any]]
-    kill: Callable[[Iterable[Future[Any]]], object]  # stops what is under way
-    deaths: tuple[type[BaseException], ...]  # what a future raises if its worker died
+    kill: Callable[[Iterable[Future[Any]]], object]  # stops the units under way
+    deaths: tuple[type[BaseException], ...]  # a future raises one of these if its worker died
     n_workers: int
 
 
 @contextmanager
 def connected(workers: Workers) -> Iterator[Backend]:
-    """The workers, until the end of the block. Raises InputError if they are not available."""
+    """Connect to workers for the block. Raises InputError if they are not available."""
     name, address = workers.backend, workers.address
     start, needed = {"loky": (_loky, "loky"), "ray": (_ray, "ray"), "dask": (_dask, "distributed")}[name]
     if find_spec(needed) is None:
         raise InputError(f"backend {name} needs the package {needed}: pip install 'xmarl-bench[{name}]'.")
-    if address is not None and address != "auto":  # Ray's word for the cluster of this machine
+    if address is not None and address != "auto":  # Ray's name for the cluster of this machine
         host, _, port = address.rpartition("://")[2].rpartition(":")
         if not host or not port.isdigit():
             raise InputError(f"address {address} is invalid: give host:port of the {name} cluster.")
-        with _answering(workers, OSError):  # clients would try for minutes
+        with _answering(workers, OSError):  # fail early: the clients retry for minutes
             socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
     with start(workers) as backend:
         yield backend
@@ -63,21 +63,22 @@ def connected(workers: Workers) -> Iterator[Backend]:
 
 @contextmanager
 def _answering(workers: Workers, *errors: type[Exception]) -> Iterator[None]:
+    """Turn errors of a connection into an InputError that names the cluster."""
     try:
         yield
     except errors as error:
         raise InputError(
             f"no {workers.backend} cluster answers at {workers.address} ({' '.join(str(error).split())}): "
-            f"start one, or correct that."
+            f"start one, or correct the address."
         ) from error
 
 
 @contextmanager
 def _loky(workers: Workers) -> Iterator[Backend]:
-    """Processes of this machine, kept between calls; long answers come in files.
+    """Processes of this machine, kept between calls. Long answers come in files.
 
-    The pipe for answers is one for all of them: were a worker killed in the middle of a long one, the main
-    process would wait for the rest of it for ever.
+    All workers share one pipe for answers: if one is killed while it writes a long answer, the main process
+    waits forever for the rest.
     """
     from loky import get_reusable_executor
     from loky.process_executor import ShutdownExecutorError
@@ -86,7 +87,7 @@ def _loky(workers: Workers) -> Iterator[Backend]:
     deaths = (BrokenExecutor, ShutdownExecutorError)
 
     def pool() -> Any:
-        """Another one if a worker died: loky then ends the others."""
+        """The current pool. If a worker died, loky ends the others, and this is a new pool."""
         pools[os.getpid()] = get_reusable_executor(
             n_workers, timeout=IDLE_SECONDS, env=ONE_THREAD, initializer=_end_with, initargs=(os.getpid(),)
         )
@@ -95,19 +96,19 @@ def _loky(workers: Workers) -> Iterator[Backend]:
     def submit(function: Callable[..., Any], *args: object) -> Any:
         try:
             return pool().submit(_by_file, folder, function, *args)
-        except deaths:  # in this very moment
+        except deaths:  # the pool broke after we got it
             return pool().submit(_by_file, folder, function, *args)
 
     def kill(_: object) -> None:
         pool().shutdown(wait=True, kill_workers=True)
 
     with warnings.catch_warnings(), tempfile.TemporaryDirectory(prefix="xmarl-bench-") as folder:
-        # Loky replaces a worker whose memory has grown by 300 MB, between two units: that loses nothing.
+        # Between two units, loky replaces a worker whose memory has grown by 300 MB: nothing is lost.
         warnings.filterwarnings("ignore", message="A worker (stopped|was restarted) while some jobs")
         yield Backend(submit, kill, deaths, n_workers)
 
 
-_folders: set[str] = set()  # of answers, that this worker has been told of
+_folders: set[str] = set()  # folders that this worker writes answers to
 
 
 def _by_file(folder: str, function: Callable[..., bytes], *args: object) -> object:
@@ -116,7 +117,7 @@ def _by_file(folder: str, function: Callable[..., bytes], *args: object) -> obje
 
 
 def _end_with(parent: int) -> None:
-    """End this process when its parent has ended in any way: workers of loky would go on."""
+    """End this process when its parent has ended: loky's workers would continue."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -130,7 +131,7 @@ def _end_with(parent: int) -> None:
 
 @contextmanager
 def _ray(workers: Workers) -> Iterator[Backend]:
-    """Tasks of one core each, never repeated by Ray. A process that is connected already stays connected."""
+    """Ray tasks of one core each, which Ray does not retry. An existing connection is used and left open."""
     import ray
     from ray.exceptions import NodeDiedError, ObjectLostError, OutOfMemoryError, RayError, WorkerCrashedError
 
@@ -168,13 +169,13 @@ def _call(function: Callable[..., Any], *args: object) -> object:
 
 @contextmanager
 def _dask(workers: Workers) -> Iterator[Backend]:
-    """Tasks on workers of one thread: units set the seeds of their whole process."""
+    """Dask tasks on workers of one thread each: a unit seeds its whole process."""
     import dask
     from distributed import Client, KilledWorker
 
     here: dict[str, Any] = {"n_workers": workers.jobs or os.cpu_count() or 1, "threads_per_worker": 1}
     here = {} if workers.address else {**here, "dashboard_address": None, "silence_logs": logging.CRITICAL}
-    # We count retries ourselves; on clusters that run the scheduler's own setting holds.
+    # We count retries ourselves; on a running cluster the scheduler's own setting applies.
     ours = {"distributed.scheduler.allowed-failures": 0, "scheduler-address": None}
     with dask.config.set(ours), _answering(workers, OSError, TimeoutError, ValueError):
         client = Client(workers.address, timeout=CONNECT_SECONDS, set_as_default=False, **here)
@@ -185,7 +186,7 @@ def _dask(workers: Workers) -> Iterator[Backend]:
 
 
 def _count_dask(client: Any, workers: Workers) -> int:
-    """Workers of the cluster. Raises InputError if none comes in time, or if one has several threads."""
+    """The number of workers. Raises InputError if none joins in time or if one has several threads."""
     try:
         client.wait_for_workers(1, timeout=WORKER_SECONDS)
     except TimeoutError:

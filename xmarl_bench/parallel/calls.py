@@ -1,7 +1,7 @@
-"""Calls that are sent to workers, and what comes back.
+"""Calls that are sent to workers, and their answers.
 
-Calls and results are pickled here, not by the backends, each of which fails in its own way: what cannot be
-pickled, or cannot be loaded over there, is an error of that unit alone.
+We pickle calls and results ourselves, because each backend fails in its own way. Here, a call or result that
+cannot be pickled or loaded is an error of that unit alone.
 """
 
 from __future__ import annotations
@@ -26,18 +26,19 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Failure:
-    """A unit that failed: one sentence, the traceback if there is one, and what was raised."""
+    """A unit that failed: its error in one sentence, the traceback if there is one, and the exception."""
 
     error: str
     traceback: str | None
     raised: Exception = field(repr=False, compare=False)
 
 
-Answer = bytes | Path | Failure  # a pickled outcome, the file it is in, or why there is none
-SHORT_BYTES = 2048  # with what is around it, a pipe takes it whole or not at all (PIPE_BUF)
+Answer = bytes | Path | Failure  # a pickled outcome, the file that holds it, or why there is none
+SHORT_BYTES = 2048  # with its envelope less than PIPE_BUF, so that a pipe takes it atomically
 
 
 def attempt(compute: Callable[[], Result]) -> Result | Failure:
+    """The result, or a Failure if the call raises an exception."""
     try:
         return compute()
     except Exception as error:
@@ -48,7 +49,7 @@ def attempt(compute: Callable[[], Result]) -> Result | Failure:
 def send(
     submit: Callable[..., Future[Any]], function: Callable[[Unit], object], unit: Unit
 ) -> Future[Answer]:
-    """A worker's answer to the call `function(unit)`, for `outcome`."""
+    """Submit the call `function(unit)`. `outcome` reads the answer that the future gives."""
     call = attempt(lambda: bytes(cloudpickle.dumps((function, unit))))
     if isinstance(call, bytes):
         return submit(_answer, call)
@@ -58,7 +59,7 @@ def send(
 
 
 def outcome(answer: Answer) -> Any:
-    """What the call returned, or its Failure. Its file is removed."""
+    """What the call returned, or its Failure. Deletes the file of the answer."""
     if isinstance(answer, Failure):
         return answer
     if isinstance(answer, Path):
@@ -70,7 +71,7 @@ def outcome(answer: Answer) -> Any:
 
 
 def kept_in(folder: str, answer: bytes) -> Answer:
-    """On a worker: a long answer as a file in `folder`."""
+    """On a worker: write a long answer to a file in `folder`."""
     if len(answer) <= SHORT_BYTES:
         return answer
 
@@ -95,7 +96,7 @@ def _answer(call: bytes) -> bytes:
 
 
 def _portable(failure: Failure) -> Failure:
-    """Errors of some libraries cannot be pickled, or cannot be loaded again."""
+    """Replaces an exception that cannot be pickled or loaded again, as those of some libraries."""
     try:
         pickle.loads(cloudpickle.dumps(failure.raised))
     except Exception:

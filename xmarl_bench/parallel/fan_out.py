@@ -1,6 +1,6 @@
-"""The same function over many units of work, in one process or many, with a progress bar on stderr.
+"""Applies one function to many units of work, in one process or many, with a progress bar on stderr.
 
-Neither a unit that raises nor a worker that dies stops the others, and no result depends on which process
+A unit that raises or a worker that dies does not stop the others. No result depends on the process that
 computed it.
 """
 
@@ -23,10 +23,10 @@ __all__ = ["Failure", "WorkerDiedError", "fan_out", "in_order"]
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
-AHEAD = 2  # units under way for each worker, so that none waits for the next
+AHEAD = 2  # units under way per worker, so that no worker waits for its next one
 DIED_TWICE = (
-    "its worker died twice, the second time with nothing else under way: it may need more memory than there "
-    "is, or something kills it."
+    "crashed its worker twice, the second time while it ran alone: it may need more memory than the machine "
+    "has, or something kills it."
 )
 
 
@@ -47,11 +47,11 @@ def fan_out(
     Args:
         function, units: a worker gets pickled copies. Units are taken lazily, in the thread of the caller and
             a few ahead of the results: neither all units nor all results are ever in memory.
-        total: how many units there are, for the bar; by default their length, where they have one.
-        progress: the bar's title, None for none.
+        total: how many units there are, for the bar; by default their length, if they have one.
+        progress: the bar's title; None: no bar.
 
-    A unit under way when a worker died is tried again at the end, with nothing else under way; if its worker
-    dies again, it is a `Failure`. Raises InputError if the workers are not available.
+    A unit that was under way when a worker died runs again at the end, alone. If its worker dies again, its
+    result is a `Failure`. Raises InputError if the workers are not available.
     """
     console = Console(stderr=True)
     bar = Progress(
@@ -62,7 +62,7 @@ def fan_out(
         TimeRemainingColumn(),
         console=console,
         disable=progress is None or not console.is_terminal,
-        transient=True,  # what stays on stderr is errors, one sentence each
+        transient=True,  # only errors stay on stderr
     )
     if total is None and isinstance(units, Sized):
         total = len(units)
@@ -80,7 +80,7 @@ def in_order(
     workers: Workers = ONE_PROCESS,
     progress: str | None = None,
 ) -> Iterator[Result]:
-    """Results in the order of `units`, whatever finishes first; the first error is raised as it was."""
+    """Results in the order of `units`. Raises the exception of the first unit that fails."""
     waiting: dict[int, Result] = {}
     following = 0
     for index, result in fan_out(function, units, workers=workers, progress=progress):
@@ -100,10 +100,10 @@ def _outcomes(
             yield index, attempt(lambda unit=unit: function(unit))  # type: ignore[misc]
         return
     remaining = iter(units)
-    for first in islice(remaining, 1):  # no unit, no workers
+    for first in islice(remaining, 1):  # without units no workers are started
         with connected(workers) as backend:
             numbered = enumerate(chain([first], remaining))
-            bound = workers.jobs if workers.address else None  # on a cluster that runs
+            bound = workers.jobs if workers.address else None  # on a running cluster, jobs is the limit
             ahead = bound or AHEAD * max(1, backend.n_workers)
             suspects = yield from _send(backend, function, numbered, ahead)
             for index, _ in (yield from _send(backend, function, iter(suspects), 1)):
@@ -123,7 +123,7 @@ def _send(
             if not under_way:
                 return died
             wait(under_way, return_when=FIRST_COMPLETED)
-            future = next(each for each in under_way if each.done())  # the oldest: none waits for ever
+            future = next(each for each in under_way if each.done())  # the oldest, so that none starves
             index, unit = under_way.pop(future)
             try:
                 answer = future.result()

@@ -1,18 +1,18 @@
-"""Workers end with their program, whatever state they are in."""
+"""Ends worker processes when their program ends, whatever state they are in."""
 
 from __future__ import annotations
 
 import os
 from typing import Any
 
-pools: dict[int, Any] = {}  # loky's, by the process that uses it: a fork has none
+pools: dict[int, Any] = {}  # loky's pool by process id: a fork has none
 
 
 def end_workers() -> None:
-    """Kill this process's workers on this machine: for a program to call before it ends.
+    """Kill this process's workers on this machine. A program calls this before it ends.
 
-    A worker that is killed while it takes a unit keeps the lock of the queue. At the end of a program loky no
-    longer looks for the dead, and the others would wait for that lock for ever.
+    A worker that is killed while it takes a unit keeps the lock of the queue. When the program ends, loky no
+    longer looks for dead workers, and the others would wait forever for that lock.
     """
     pool = pools.pop(os.getpid(), None)
     if pool is not None:

@@ -14,9 +14,9 @@ BackendName = Literal["loky", "ray", "dask"]
 class Workers:
     """Where units of work run. It changes no result. Raises InputError if the values are invalid."""
 
-    jobs: int | None = None  # processes; None: one on this machine, every worker of a cluster
+    jobs: int | None = None  # processes; None: one on this machine, or every worker of a cluster
     backend: BackendName = "loky"
-    address: str | None = None  # of a Ray or Dask cluster that runs; None: one is started on this machine
+    address: str | None = None  # of a running Ray or Dask cluster; None: we start one on this machine
 
     def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
@@ -25,17 +25,17 @@ class Workers:
             )
         if self.backend not in get_args(BackendName):
             raise InputError(
-                f"there is no backend {self.backend!r}: choose one of {', '.join(get_args(BackendName))}."
+                f"unknown backend {self.backend!r}: choose one of {', '.join(get_args(BackendName))}."
             )
         if self.address is not None and self.backend == "loky":
             raise InputError(
-                f"address {self.address} is of no use to loky, which runs on this machine: "
-                f"choose the backend ray or dask with it."
+                f"address {self.address} has no effect with the backend loky, which runs on this machine: "
+                f"choose the backend ray or dask."
             )
 
     @property
     def in_this_process(self) -> bool:
-        """One process needs no other: whatever is computed is computed here."""
+        """Whether units run in this process: loky with one job."""
         return self.backend == "loky" and self.jobs in (None, 1)
 
 

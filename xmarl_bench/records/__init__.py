@@ -1,1 +1,1 @@
-"""Files of JSON: written whole or not at all, read strictly."""
+"""JSON files: written atomically, read strictly."""

@@ -1,4 +1,4 @@
-"""Types of an entry's fields: which numbers and texts there can be at all."""
+"""Types of an entry's fields, with the bounds of their values."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-ROUNDING = 1e-6  # by so much a number may be out of its range, for sums round
+ROUNDING = 1e-6  # how far rounding may put a number outside its range
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,99}$")]  # safe in file names
 Text = Annotated[str, Field(max_length=10_000)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]

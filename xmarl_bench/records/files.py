@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and JSON always in one canonical form."""
+"""Writes files atomically, and JSON in one canonical form."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ LOCK = ".lock"
 def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
     """Write to a temporary file beside `path`, then rename: a reader sees the old file or the new one.
 
-    sync: survive a power failure too; needless for what a reader checks. Raises InputError where the disk is
-    full or the folder cannot be written to.
+    sync: also survive a power failure; unnecessary if readers check the file. Raises InputError if the disk
+    is full or the folder cannot be written to.
     """
     temporary: str | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # The name says which process on which machine is at it: what a killed one left can be told.
+        # The name holds machine and process, so that leftovers of a killed process can be recognised.
         prefix = f".{path.name}.{socket.gethostname()}-{os.getpid()}-"
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=".tmp")
         with os.fdopen(handle, "wb") as file:
@@ -41,14 +41,14 @@ def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
             Path(temporary).unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise InputError(
-                f"{path} cannot be written ({error.strerror}): free the disk or give another folder; what is "
-                f"there already is whole."
+                f"{path} cannot be written ({error.strerror}): free disk space or give another folder. Files "
+                f"written before are intact."
             ) from error
         raise
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Temporary files of processes of this machine that are no more; those of others are let be."""
+    """Delete temporary files of processes of this machine that have ended. Keeps those of other machines."""
     ours = re.compile(rf"\..*\.{re.escape(socket.gethostname())}-([0-9]+)-[^-]*\.tmp")
     for path in folder.glob(".*.tmp"):
         match = ours.fullmatch(path.name)
@@ -57,24 +57,24 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def is_running(pid: int) -> bool:
-    """Whether this machine has such a process."""
+    """Whether a process with this id runs on this machine."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    except OSError:  # it is somebody else's
+    except OSError:  # it belongs to another user
         return True
     return True
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keeps other runs out of a folder, made if missing and taken away if nothing came of it.
+    """Hold the lock of a folder. A missing folder is created, and removed again if it stays empty.
 
-    The lock is the operating system's: it ends with the process that holds it, however that ends. Raises
-    InputError where another run holds it.
+    The operating system releases the lock when the process ends, however it ends. Raises InputError if
+    another run holds it.
     """
-    from filelock import FileLock, Timeout  # here: reading files needs no lock
+    from filelock import FileLock, Timeout  # imported lazily: reading files needs no lock
 
     check_writable(folder)
     made = not folder.exists()
@@ -85,7 +85,7 @@ def locked(folder: Path) -> Iterator[None]:
             try:
                 yield
             finally:
-                path.unlink(missing_ok=True)  # while it is held: whoever waits for it looks again
+                path.unlink(missing_ok=True)  # while the lock is held, so that no other run holds this file
                 if made and not any(folder.iterdir()):
                     folder.rmdir()
     except Timeout:
@@ -95,7 +95,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def check_writable(folder: Path) -> None:
-    """Raises InputError where `folder` could not be written to, before hours of work find out."""
+    """Raise InputError if `folder` cannot be written to, before hours of work are lost."""
     nearest = folder
     while not nearest.exists() and nearest != nearest.parent:
         nearest = nearest.parent
@@ -104,15 +104,15 @@ def check_writable(folder: Path) -> None:
 
 
 def canonical_json(value: Any) -> bytes:
-    """The one JSON text of a value: sorted keys, no white space, no NaN. Hashes are taken of this."""
+    """The canonical JSON of a value: sorted keys, no white space, no NaN. Hashes are taken of it."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
 def pretty_json(value: Any) -> bytes:
-    """JSON for people: sorted keys, two spaces. NaN and infinity are refused (ValueError)."""
+    """Readable JSON: sorted keys, two spaces. Raises ValueError for NaN and infinity."""
     return (json.dumps(value, sort_keys=True, indent=2, allow_nan=False) + "\n").encode()
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON for people, whole or not at all."""
+    """Write readable JSON atomically."""
     write_atomically(path, pretty_json(value))

@@ -1,4 +1,4 @@
-"""Canonical JSON in parts: member by member, and in lines, so that a change shows where it is."""
+"""Canonical JSON in parts: by member, and in lines, so that a diff shows what changed."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ def members(value: Mapping[str, Any]) -> dict[str, bytes]:
 
 
 def object_of(members: Mapping[str, bytes]) -> bytes:
-    """The canonical text of the object of these members."""
+    """The canonical text of an object with these members."""
     return b"{" + b",".join(canonical_json(key) + b":" + members[key] for key in sorted(members)) + b"}"

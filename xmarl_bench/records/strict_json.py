@@ -1,7 +1,6 @@
-"""JSON as a program writes it for programs: what is ambiguous or could exhaust a reader is refused.
+"""A strict parser for JSON of unknown origin: refuses what is ambiguous or could exhaust the reader.
 
-Python's parser takes NaN, turns 1e999 into infinity, keeps the last of two equal keys and reads whatever size
-it is given; files of strangers are read with none of that.
+Python's parser accepts NaN, turns 1e999 into infinity, keeps the last of two equal keys and reads any size.
 """
 
 from __future__ import annotations
@@ -15,17 +14,17 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 MAX_BYTES = 16 * 1024 * 1024
-# Each delimiter is at most one more value to validate, at some microseconds each: a bound on time.
+# Bounds the time of validation: each delimiter adds at most one value, at some microseconds each.
 MAX_VALUES = 200_000
-MAX_DIGITS = 19  # of an integer: more than 2**53, which readers in other languages keep exact
+MAX_DIGITS = 19  # of an integer; other languages read integers exactly up to 2**53, of 16 digits
 _LONG = re.compile(rb"[:,\[](?:-[0-9]{%d}|[0-9]{%d})" % (MAX_DIGITS + 1, MAX_DIGITS + 2))
 
 
 def parse_json(data: bytes, *, max_bytes: int = MAX_BYTES) -> Any:
-    """The value of strict JSON text in UTF-8.
+    """Parse strict JSON text in UTF-8.
 
-    Raises ValueError, whose text is a clause without a full stop, for what is no JSON, holds NaN, infinity or
-    one key twice, or is too large, too deep (about a thousand levels) or of too many values.
+    Raises ValueError if the text is not JSON, holds NaN, infinity or a key twice, or has too many bytes,
+    levels (about a thousand) or values. The message is a clause without a full stop.
     """
     check_size(data, max_bytes)
     try:
@@ -39,34 +38,34 @@ def parse_json(data: bytes, *, max_bytes: int = MAX_BYTES) -> Any:
     except UnicodeDecodeError:
         raise ValueError("is not text in UTF-8") from None
     except json.JSONDecodeError as error:
-        raise ValueError(f"is no JSON ({error.msg} in line {error.lineno})") from None
+        raise ValueError(f"is not JSON ({error.msg} in line {error.lineno})") from None
     except RecursionError:
         raise ValueError("is nested too deep") from None
 
 
 def check_size(data: bytes, max_bytes: int = MAX_BYTES) -> None:
-    """Raises ValueError, as `parse_json` does, for too many bytes or values."""
+    """Raise ValueError, as `parse_json` does, for too many bytes or values."""
     if len(data) > max_bytes:
-        raise ValueError(f"holds {len(data)} bytes, more than the {max_bytes} that are read")
+        raise ValueError(f"holds {len(data)} bytes, more than the limit of {max_bytes}")
     if data.count(b",") + data.count(b"[") + data.count(b"{") > MAX_VALUES:
-        raise ValueError(f"holds more than the {MAX_VALUES} values that are read")
+        raise ValueError(f"holds more values than the limit of {MAX_VALUES}")
 
 
 def has_long_integer(text: bytes) -> bool:
-    """Whether canonical JSON holds an integer that `parse_json` refuses, or a string that looks like it."""
+    """Whether canonical JSON holds an integer too long for `parse_json`, or a string that looks like one."""
     return _LONG.search(text) is not None
 
 
 def shown(value: object, length: int = 80) -> str:
-    """What a stranger wrote, for a terminal or a log: as a literal, printable ASCII, one line, shortened."""
+    """Untrusted text made safe for a terminal or log: a literal in printable ASCII, one line, shortened."""
     line = ascii(str(value) if isinstance(value, BaseException) else value)
     return line if len(line) <= length else line[: length - 4] + "..." + line[-1]
 
 
 def first_error(error: ValidationError) -> tuple[str, str]:
-    """What pydantic found first, and where: names joined by dots, empty for the whole value.
+    """Message and place of pydantic's first error. Place: names joined by dots, empty for the whole value.
 
-    Both may quote the value: they are for `shown` where a stranger wrote it.
+    Both may quote the value: pass them through `shown` if the value is untrusted.
     """
     first = error.errors(include_url=False, include_input=False, include_context=False)[0]
     return first["msg"], ".".join(str(part) for part in first["loc"])
@@ -82,7 +81,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _no_constant(text: str) -> NoReturn:
-    raise ValueError(f"holds {text}, which is no JSON number")
+    raise ValueError(f"holds {text}, which is not a JSON number")
 
 
 def _finite(text: str) -> float:

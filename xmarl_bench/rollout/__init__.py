@@ -1,1 +1,1 @@
-"""Which states are scored, and the episodes that a team plays to reach them."""
+"""The states that are scored, and the episodes that reach them."""

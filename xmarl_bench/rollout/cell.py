@@ -11,12 +11,12 @@ from xmarl_envs import TASKS, Task, make_task
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.reproducible import episode_seeds
 
-BLOCK = 10  # episodes: what a run that is killed has to do again, per worker
+BLOCK = 10  # episodes in a unit of work: a killed run loses at most so many per worker
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A task with a team size. Raises InputError for an unknown task or a team it does not take."""
+    """A task with a team size. Raises InputError for an unknown task or a team size that it does not take."""
 
     task: str
     n_agents: int
@@ -35,11 +35,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Which states are scored. Entries of different sampling do not share a table."""
+    """Which states are scored. Entries with different sampling do not share a table."""
 
     episodes: int = 50
-    timesteps: int | None = None  # at most so many of each episode, evenly spaced; None is all
-    max_cycles: int | None = None  # steps per episode; None is the task's own number
+    timesteps: int | None = None  # at most so many of each episode, evenly spaced; None: all
+    max_cycles: int | None = None  # steps per episode; None: the task's default
     seed: int = 0  # of the episodes, and of the explainers' randomness
 
     def __post_init__(self) -> None:
@@ -57,13 +57,13 @@ class Sampling:
 
 
 def check_task(name: str) -> None:
-    """Raises InputError for an unknown task."""
+    """Raise InputError if the task is unknown."""
     if name not in TASKS:
         raise unknown("task", name, TASKS)
 
 
 def spaced_timesteps(length: int, timesteps: int | None) -> NDArray[np.int64]:
-    """Indices of at most `timesteps` evenly spaced steps of `length`: the middles of equal stretches."""
+    """Indices of at most `timesteps` evenly spaced steps of `length`: the middles of equal intervals."""
     if timesteps is None or timesteps >= length:
         return np.arange(length)
     return np.asarray((2 * np.arange(timesteps) + 1) * length // (2 * timesteps))

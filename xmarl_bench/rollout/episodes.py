@@ -1,4 +1,4 @@
-"""Deterministic episodes of a policy: what explainers explain, and the task metrics."""
+"""Deterministic episodes of a policy: the observations that explainers explain, and the task metrics."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from xmarl_bench.reproducible import one_thread
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode: what the team saw at each of its T steps, and how it went.
+    """One episode: what the team observed at each of its T steps, and its task metrics.
 
     Metrics as in Kailas et al. (ICML 2025), appendix "Metrics for Task Performance".
     """
@@ -36,7 +36,7 @@ class Episode:
 
 
 def mean_metrics(task: str, episodes: Sequence[Episode]) -> dict[str, float | None]:
-    """The task metrics, mean over episodes; None for what the task does not have."""
+    """Means of the task metrics over episodes; None for a metric that the task does not have."""
     lacking = set() if TASKS[task].n_walls else {Need.WALLS}
     return {
         metric.name: None
@@ -47,12 +47,12 @@ def mean_metrics(task: str, episodes: Sequence[Episode]) -> dict[str, float | No
 
 
 class Act(Protocol):
-    """How the teams of a batch act."""
+    """Chooses the actions of a batch of teams."""
 
     def __call__(self, observation: NDArray[np.float32], slots: Sequence[int], /) -> NDArray[np.float32]:
         """(B, N, D) observations of all slots, the slots still playing -> (B, N, 2) actions.
 
-        Actions of other slots mean nothing.
+        Actions of other slots are ignored.
         """
 
 
@@ -69,9 +69,9 @@ def roll_out(
 
     mask: (N, N), the team acts on F(mask) throughout; the identity removes all messages between agents.
 
-    Each episode has a pymunk Space and a forward pass of its own: matrix products round differently in
-    batches of different size, and an episode may depend on nothing but (task, N, seed, policy). So the
-    result is the same, to the bit, whatever `parallel_episodes` is.
+    Each episode has a pymunk Space and a forward pass of its own, because matrix products round differently
+    in batches of different size. An episode depends on (task, N, seed, policy) alone: the result is the same,
+    bit for bit, for any `parallel_episodes`.
     """
 
     def act_alone(observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[np.float32]:
@@ -99,7 +99,7 @@ def play(
     if width < 1:
         return []
     env = VectorEnv(task, width, max_cycles)
-    playing = list(range(width))  # slot -> which seed it plays; -1 when nothing is left
+    playing = list(range(width))  # slot -> index of the seed it plays; -1: no seed is left
     observation = env.reset([seeds[k] for k in playing])
     recorders = [_Recorder(seeds[k]) for k in playing]
     finished: dict[int, Episode] = {}
@@ -126,16 +126,16 @@ def play(
 
 @torch.inference_mode()
 def act(policy: Policy, observation: NDArray[np.float32], mask: Tensor | None = None) -> NDArray[np.float32]:
-    """(N, D) -> (N, A): the deterministic action of one team at one moment."""
-    # A copy, not a view: matrix products also round differently by the alignment of their memory,
-    # and torch aligns what it allocates itself.
+    """(N, D) -> (N, A): the deterministic action of one team at one timestep."""
+    # A copy, not a view: rounding of matrix products also depends on the alignment of memory, and torch
+    # aligns what it allocates itself.
     x = torch.tensor(observation)[None]
     return np.asarray(policy.distribution(x, mask).action[0].numpy())
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """Episodes to play side by side in one process: what is handed to a worker."""
+    """Episodes to play in parallel in one process: the unit of work of a worker."""
 
     policy: Policy
     task: str
@@ -149,7 +149,7 @@ class Rollout:
         with one_thread():
             return roll_out(
                 make_task(self.task, self.n_agents),
-                copy.deepcopy(self.policy),  # memory as torch lays it out, also after a pickle
+                copy.deepcopy(self.policy),  # torch aligns the copy's memory; pickle does not
                 self.seeds,
                 parallel_episodes=self.parallel_episodes or len(self.seeds),
                 max_cycles=self.max_cycles,
@@ -158,11 +158,11 @@ class Rollout:
 
 
 def check_parallel(parallel_episodes: int) -> None:
-    """Raises InputError for a number of episodes side by side that is none."""
+    """Raise InputError if parallel_episodes < 1."""
     if parallel_episodes < 1:
         raise InputError(
             f"parallel_episodes must be at least 1, got {parallel_episodes}: "
-            f"give the number of episodes to step side by side."
+            f"give the number of episodes to step in parallel."
         )
 
 

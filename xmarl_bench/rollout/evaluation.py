@@ -1,4 +1,4 @@
-"""How well policies do their task, with messages between agents and without: no explainer involved."""
+"""How well policies do their task, with messages between agents and without. Involves no explainer."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from xmarl_bench.rollout.episodes import Episode, Rollout, check_parallel, mean_
 
 @dataclass(frozen=True)
 class Performance:
-    """Means over episodes of the task metrics; None where the task has no such thing."""
+    """Means of the task metrics over episodes; None for a metric that the task does not have."""
 
     task: str
     n_agents: int
@@ -34,10 +34,10 @@ class Performance:
     max_cycles: int
     with_messages: dict[str, float | None]
     without_messages: dict[str, float | None]  # F(identity): every agent hears itself only
-    # nats, over the episodes with messages; log N is attention to all alike, None that nothing attends
+    # nats, over the episodes with messages; log N: uniform attention; None: the policy has no attention
     attention_entropy: float | None
     # Success and reward with messages minus without, paired by episode: {metric: {value, low, high}}, 95 %.
-    # Empty in cards from before it was measured.
+    # Empty in older cards.
     messages_gain: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
@@ -67,7 +67,7 @@ def evaluate(
 ) -> list[Performance]:
     """Roll out each policy on the sampling's episodes twice: as it is, and with all messages removed.
 
-    The same episodes as scoring plays with the same seed. `sampling.timesteps` has no meaning here.
+    Scoring plays the same episodes with the same seed. `sampling.timesteps` is ignored.
     """
     check_parallel(parallel_episodes)
     seeds, max_cycles = tuple(sampling.seeds), sampling.max_cycles

@@ -69,7 +69,7 @@ def test_a_run_ends_with_a_policy_that_loads(
         (("--task", "blind_passage_v0", "--attention-start", "0.9"), "start at 0.8 or before"),
         (("--task", "blind_passage_v0", "--family", "large"), "'residual'"),
         (("--reproduce", RUN, "--family", "paper"), "leave out --family"),
-        (("--reproduce", "all", "--address", "127.0.0.1:9"), "of no use to loky"),
+        (("--reproduce", "all", "--address", "127.0.0.1:9"), "has no effect with the backend loky"),
         (("--reproduce", "all", "--seed", "0"), "leave out --seed"),
         (("--reproduce", RUN, "--caution", "2"), "leave out --caution"),
         (("--reproduce", RUN, "--jobs", "2"), "leave out --jobs"),

@@ -231,4 +231,4 @@ def test_the_command(
     assert "scale them to [0, 1]" in " ".join(wild.out.split())
     unknown = run_cli("check", "explainer", "atention", "--policy", bundle)
     assert (unknown.code, unknown.out) == (2, "")
-    assert "Did you mean 'attention'?" in unknown.err
+    assert "did you mean 'attention'?" in unknown.err

@@ -106,7 +106,7 @@ def test_slow_explainers_are_given_less_and_it_says_so(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--task", "blind_navigation"], ["'blind_navigation'", "blind_discovery_v0", "Did you mean"]),
+        (["--task", "blind_navigation"], ["'blind_navigation'", "blind_discovery_v0", "did you mean"]),
         (["--explainer", "attentoin"], ["'attentoin'", "attention"]),
         (["--agents", "many"], ["many"]),
         (["--agents", "0"], ["got 0"]),
@@ -118,7 +118,7 @@ def test_slow_explainers_are_given_less_and_it_says_so(
         (["--seed", "-1"], ["seed"]),
         (["--jobs", "0"], ["jobs"]),
         (["--behaviour-episodes", "-1"], ["behaviour_episodes"]),
-        (["--no-behaviour", "atention"], ["'atention'", "Did you mean 'attention'?"]),
+        (["--no-behaviour", "atention"], ["'atention'", "did you mean 'attention'?"]),
         (["--parallel-episodes", "0"], ["parallel_episodes"]),
     ],
 )
@@ -132,7 +132,7 @@ def test_bad_options(
 def test_unknown_policy(run_cli: RunCli, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "registered_policies", lambda: ({"navigation-n3": tmp_path}, []))
     ran = run_cli("score", "--policy", "navigaton-n3", "--explainer", "attention", "--out", out)
-    assert_refused(ran, out, "'navigaton-n3'", "Did you mean 'navigation-n3'?")
+    assert_refused(ran, out, "'navigaton-n3'", "did you mean 'navigation-n3'?")
     ran = run_cli("score", "--policy", tmp_path / "nothing", "--explainer", "attention", "--out", out)
     assert_refused(ran, out, "nothing", "cannot be read")
 

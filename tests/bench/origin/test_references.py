@@ -96,8 +96,8 @@ def test_a_file_takes_no_modules_place(file: Path) -> None:
     [
         ("{folder}/missing.py:x", "cannot be read"),
         ("{folder}/own.py:nothing", "has no 'nothing': give one of nearest, Scaled"),
-        ("{folder}/own.py:", "names no object"),
-        (":x", "names no object"),
+        ("{folder}/own.py:", "is not a reference to an object"),
+        (":x", "is not a reference to an object"),
         ("no_such_module:x", "ModuleNotFoundError"),
         ("{folder}/broken.py:x", r"failed to load \(ZeroDivisionError"),
         ("{folder}/stops.py:x", r"failed to load \(SystemExit"),

@@ -83,7 +83,7 @@ def test_a_unit_that_kills_its_workers_is_a_failure_at_last(
     returned = dict(fan_out(units_of_work.kill_worker, range(6), workers=workers))
     failure = returned.pop(3)
     assert isinstance(failure, Failure)
-    assert failure.error.startswith("its worker died twice")
+    assert failure.error.startswith("crashed its worker twice")
     assert returned == {k: k for k in range(6) if k != 3}
 
 

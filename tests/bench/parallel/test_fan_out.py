@@ -173,7 +173,7 @@ def test_a_worker_that_dies_costs_only_the_unit_that_kills_it() -> None:
         if k in killers:
             failure = returned[k]
             assert isinstance(failure, Failure)
-            assert failure.error.startswith("its worker died twice")
+            assert failure.error.startswith("crashed its worker twice")
             assert failure.traceback is None
         else:
             assert returned[k] == k
@@ -263,8 +263,8 @@ def _read(pipe: int, otherwise: str) -> bytes:
     ("arguments", "said"),
     [
         ((0,), "jobs must be at least 1, got 0"),
-        ((2, "threads"), "there is no backend 'threads': choose one of loky, ray, dask"),
-        ((2, "loky", "10.0.0.1:8786"), "address 10.0.0.1:8786 is of no use to loky"),
+        ((2, "threads"), "unknown backend 'threads': choose one of loky, ray, dask"),
+        ((2, "loky", "10.0.0.1:8786"), "address 10.0.0.1:8786 has no effect with the backend loky"),
     ],
 )
 def test_workers_that_are_none_are_refused(arguments: tuple[object, ...], said: str) -> None:

@@ -64,7 +64,7 @@ def test_a_broken_plugin_does_not_stand_in_the_way_of_others(monkeypatch: pytest
 
 
 def test_an_unknown_name_lists_the_choices_and_the_nearest() -> None:
-    with pytest.raises(InputError, match=r"'atention'.*all-ones.*gnn_explainer.*Did you mean 'attention'\?"):
+    with pytest.raises(InputError, match=r"'atention'.*did you mean 'attention'\?.*all-ones.*gnn_explainer"):
         registry.find_explainer("atention")
 
 

@@ -27,13 +27,13 @@ def test_what_json_is() -> None:
         (b"[-Infinity]", "holds -Infinity"),
         (b"[1e999]", "holds the number '1e999', which is too large"),
         (b"9" * 5000, "holds an integer of 5000 digits"),
-        (b"[1,]", "is no JSON"),
-        (b"", "is no JSON"),
+        (b"[1,]", "is not JSON"),
+        (b"", "is not JSON"),
         (b"\xff\xfe{}", "is not text in UTF-8"),
-        (b"[" * 100_000, "nested too deep|is no JSON"),
+        (b"[" * 100_000, "nested too deep|is not JSON"),
         (b'{"a":' * 30_000, "nested too deep"),
-        (b"[" + b"1," * MAX_VALUES + b"1]", f"more than the {MAX_VALUES} values"),
-        (b'"' + b"x" * (16 * 2**20) + b'"', "bytes, more than the 16777216"),
+        (b"[" + b"1," * MAX_VALUES + b"1]", f"holds more values than the limit of {MAX_VALUES}"),
+        (b'"' + b"x" * (16 * 2**20) + b'"', "bytes, more than the limit of 16777216"),
     ],
 )
 def test_what_it_is_not(data: bytes, said: str) -> None:

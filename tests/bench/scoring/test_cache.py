@@ -138,7 +138,7 @@ def test_a_file_larger_than_the_disk_gives_is_one_sentence_and_nothing_is_lost(t
     write_atomically(path, b"old")
     with (
         files_of_at_most(1000),
-        pytest.raises(InputError, match=r"a\.json cannot be written .*free the disk"),
+        pytest.raises(InputError, match=r"a\.json cannot be written .*free disk space"),
     ):
         write_atomically(path, b"x" * 2000)
     assert path.read_bytes() == b"old"

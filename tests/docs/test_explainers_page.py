@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import RunCli
+from tests.helpers.shipped import shipped_explainers
 from xmarl_bench.explain.adapters import DECLARATIONS
 from xmarl_bench.explain.explainer import Explainer
 
@@ -33,6 +34,17 @@ def test_the_commands_run(run_cli: RunCli, tmp_path: Path) -> None:
         arguments = command.replace("own.py", str(tmp_path / "own.py")).split()
         ran = run_cli(*arguments, "--episodes", 1, "--timesteps", 2, "--max-cycles", 3, "--out", tmp_path)
         assert ran.code == 0, ran.err
+
+
+def test_the_table_of_questions_says_what_each_shipped_explainer_declares() -> None:
+    table = PAGE.split("| shipped | absence | asks |\n|---|---|---|\n")[1].split("\n\n")[0]
+    said: dict[str, str] = {}
+    for line in table.splitlines():
+        names, absence, _ = line.strip("| ").split(" | ")
+        said |= dict.fromkeys(re.findall("`(.+?)`", names), absence)
+    assert said == {
+        each.name: "-" if each.absence is None else f"`{each.absence}`" for each in shipped_explainers()
+    }
 
 
 def test_every_declaration_is_in_the_table() -> None:

@@ -97,6 +97,7 @@ def explainers() -> tuple[list[Row], list[InputError]]:
                 "kind": "control" if each.control else "explainer",
                 "stochastic": each.stochastic,
                 "slow": each.slow,
+                "absence": each.absence,
                 "distribution": origin.distribution,
                 "version": origin.version,
                 "summary": each.summary,

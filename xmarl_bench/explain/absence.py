@@ -21,7 +21,6 @@ S is the number of timesteps, N agents, D observation entries, W the width of a 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -32,23 +31,12 @@ from torch import Tensor
 from xmarl_bench.explain.fitting import fit_states
 from xmarl_bench.explain.oracle import binary_rows, check_oracle, chunks, why_no_oracle
 from xmarl_bench.metrics import prediction_change
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy, Policy
 from xmarl_bench.policy.distribution import ActionDistribution
 from xmarl_bench.policy.network import Prepared
 
 DRAWS: Final = 4  # for each timestep
-
-
-class Absence(StrEnum):
-    ZERO = "zero"
-    MEAN = "mean"
-    RESAMPLE = "resample"
-    RENORMALISED = "renormalised"
-
-    @property
-    def prefix(self) -> str:
-        """Of what entries name by it. Zero is that of all communication-only metrics."""
-        return "comm" if self is Absence.ZERO else self.value
 
 
 def reference_states(policy: Policy, task: str, n_agents: int) -> Tensor | None:

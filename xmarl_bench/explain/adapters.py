@@ -27,6 +27,7 @@ from torch_geometric.explain import AttentionExplainer, CaptumExplainer, Explain
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Access, Explain, Explainer, Fit, Scalar
 from xmarl_bench.explain.pyg import Copies, PygExplain, PygFit
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin, origin_of
 from xmarl_bench.policy import Policy
 
@@ -46,10 +47,11 @@ class Declared(TypedDict, total=False):
     signed: bool
     needs_fit: bool
     accesses: Access | None
+    absence: Absence | str | None
 
 
 FLAGS = ("stochastic", "slow", "batched", "binary", "signed", "needs_fit")
-DECLARATIONS = ("name", "summary", "hyperparameters", "accesses", *FLAGS)
+DECLARATIONS = ("name", "summary", "hyperparameters", "accesses", "absence", *FLAGS)
 
 
 @overload
@@ -153,6 +155,8 @@ def _made(
 ) -> Explainer:
     fields: dict[str, Any] = {"name": kebab(name), **own, **declared}
     _check_declared(name, fields)
+    if fields.get("absence") is not None:
+        fields["absence"] = Absence(fields["absence"])
     fit: Fit | None = None
     if fields.pop("needs_fit", False):
         if not callable(getattr(owner, "fit", None)):
@@ -238,6 +242,8 @@ def _check_declared(name: str, fields: Mapping[str, Any]) -> None:
             raise InputError(f"explainer {name!r} declares {key!r}: choose among {', '.join(DECLARATIONS)}.")
         if key == "accesses":
             right, wanted = value in (None, *get_args(Access)), f"one of {', '.join(get_args(Access))}"
+        elif key == "absence":
+            right, wanted = value in (None, *Absence), f"one of {', '.join(Absence)}"
         elif key == "hyperparameters":
             right = isinstance(value, Mapping) and len(_scalars(value)) == len(value)
             wanted = "a dict of names and numbers, strings, booleans or None"

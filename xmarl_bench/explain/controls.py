@@ -19,6 +19,7 @@ from xmarl_envs import TASKS
 
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.oracle import oracle_mask, soft_oracle_mask
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.policy.build import initial_policy
 
@@ -89,9 +90,15 @@ CONTROLS: dict[str, Explainer] = {
         Explainer(RANDOM, random_mask, "uniform random mask: the floor", stochastic=True, control=True),
         Explainer("bernoulli", bernoulli_mask, "random edges, half of them", stochastic=True, control=True),
         Explainer("self", self_mask, "each agent's own edge alone: explains no coordination", control=True),
-        Explainer(ORACLE, oracle_mask, "the best binary mask for FidDelta", control=True),
         Explainer(
-            SOFT_ORACLE, soft_oracle_mask, "the best mask found by ascent from the oracle", control=True
+            ORACLE, oracle_mask, "the best binary mask for FidDelta", control=True, absence=Absence.ZERO
+        ),
+        Explainer(
+            SOFT_ORACLE,
+            soft_oracle_mask,
+            "the best mask found by ascent from the oracle",
+            control=True,
+            absence=Absence.ZERO,
         ),
     )
 }

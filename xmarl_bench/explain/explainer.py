@@ -16,6 +16,7 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.pyg import class_settings_kept
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.black_box import BlackBox
@@ -62,6 +63,8 @@ class Explainer:
     # What it asks of the policy: "black-box" gets one that only answers (policy.black_box), "attention"
     # one that tells its attention too; "gradients", and None for not said, the network itself.
     accesses: Access | None = None
+    # The absence model under which it takes messages away; None where it takes none away, or does not say.
+    absence: Absence | None = None
     fit: Fit | None = None  # learns from states that no score uses, once per policy; gives what explains it
     fitted_on: Tensor | None = field(default=None, compare=False, repr=False)  # (S, N, D)
     # Set where it is found by name; None for an object that is handed over, see `origin_of_explainer`.

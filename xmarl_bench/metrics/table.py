@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
+from xmarl_bench.metrics.absence import Absence
+
 
 class Group(StrEnum):
     """What a metric is measured on."""
@@ -104,9 +106,7 @@ class Metric:
 HIGHER, LOWER = Direction.HIGHER, Direction.LOWER
 ORDER: Final = "message_fidelity"  # what the leaderboard is ordered by
 # Communication-only budgeted fidelity under each absence model, zero first: what the order is the mean of.
-UNDER_ABSENCES: Final = tuple(
-    f"{absence}_budgeted_fidelity" for absence in ("comm", "mean", "resample", "renormalised")
-)
+UNDER_ABSENCES: Final = tuple(f"{absence.prefix}_budgeted_fidelity" for absence in Absence)
 SUCCESS: Final = "success_rate"
 GAINS: Final = {"success_gain": "success_rate", "reward_gain": "reward"}  # of which metric
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from xmarl_bench.entry.schema import BudgetRow, ExplanationRow, PolicyRow
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.absence import Absence, message_table
+from xmarl_bench.explain.absence import message_table
 from xmarl_bench.explain.oracle import best_rows, change_table, mask_of, why_no_oracle
 from xmarl_bench.metrics import (
     Fidelity,
@@ -40,6 +40,7 @@ from xmarl_bench.metrics import (
     random_at_k,
     top_k_rows,
 )
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, existing_edges
 
 Floats = NDArray[np.float64]

@@ -31,6 +31,7 @@ from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
 
 
@@ -97,6 +98,7 @@ gnn_explainer = Explainer(
     "PyG's GNNExplainer with its defaults, batched over timesteps",
     stochastic=True,
     hyperparameters=asdict(SETTINGS),
+    absence=Absence.ZERO,
 )
 
 gnn_explainer_messages = messages_only(gnn_explainer)

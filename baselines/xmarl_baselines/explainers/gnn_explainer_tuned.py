@@ -21,6 +21,7 @@ from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_baselines.explainers.gnn_explainer import GNNExplainerSettings, optimise_mask
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
 
 SETTINGS = GNNExplainerSettings(epochs=100, lr=0.3, edge_size=0.0002, edge_ent=0.0005)
@@ -40,6 +41,7 @@ gnn_explainer_tuned = Explainer(
     gnn_explainer_tuned_mask,
     "GNNExplainer from zero, with settings that fit policies",
     hyperparameters={**asdict(SETTINGS), "start": "zero"},
+    absence=Absence.ZERO,
 )
 
 gnn_explainer_tuned_messages = messages_only(gnn_explainer_tuned)

@@ -22,6 +22,7 @@ from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.effect import effect_direction, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
 
 NORMALISER = "0.5 + a / (2 max |a|) over the row"
@@ -55,6 +56,7 @@ gradient = Explainer(
     gradient_mask,
     "gradient of each agent's action along what messages do to it",
     hyperparameters={"normaliser": NORMALISER},
+    absence=Absence.ZERO,
 )
 
 gradient_messages = messages_only(gradient)

@@ -43,6 +43,7 @@ from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
 
 BETA, GAMMA, ZETA = 1 / 3, -0.2, 1.0  # temperature and stretch of the hard concrete
@@ -141,6 +142,7 @@ graphmask = Explainer(
     "GraphMask after its paper: the fewest messages that nearly keep the action",
     stochastic=True,
     hyperparameters=asdict(SETTINGS),
+    absence=Absence.ZERO,
 )
 
 graphmask_messages = messages_only(graphmask)

@@ -40,6 +40,7 @@ from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.pyg import PygExplain
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy, Policy
 
 BETA, GAMMA, ZETA, LOCATION = 1 / 3, -0.2, 1.2, 2  # hard concrete, not arguments in PyG
@@ -251,4 +252,5 @@ graphmask_pyg = Explainer(
     stochastic=True,
     slow=True,
     hyperparameters=asdict(SETTINGS),
+    absence=Absence.ZERO,
 )

@@ -22,6 +22,7 @@ from xmarl_baselines.explainers.gradient import NORMALISER, gradient_at
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
 
 POINTS = 32
@@ -47,6 +48,7 @@ integrated_gradients = Explainer(
     integrated_gradients_mask,
     "gradients integrated from no message to all messages",
     hyperparameters={"points": POINTS, "rule": "midpoint", "normaliser": NORMALISER},
+    absence=Absence.ZERO,
 )
 
 integrated_gradients_messages = messages_only(integrated_gradients)

@@ -17,6 +17,7 @@ from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.effect import share_of_largest
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
 
 
@@ -55,6 +56,7 @@ occlusion = Explainer(
     occlusion_mask,
     "how far the action moves without each message",
     hyperparameters={"normaliser": "a / max a over the row"},
+    absence=Absence.ZERO,
 )
 
 occlusion_messages = messages_only(occlusion)

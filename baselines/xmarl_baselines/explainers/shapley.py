@@ -34,6 +34,7 @@ from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.explain.oracle import change_table, why_no_oracle
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
 
 PAIRS = 16  # of an order and its reverse
@@ -108,6 +109,7 @@ shapley = Explainer(
     "Shapley values of messages, exact up to 10 agents",
     stochastic=True,  # above 10 agents or in several layers
     hyperparameters={"exact_up_to": 10, "orders": 2 * PAIRS, "normaliser": NORMALISER},
+    absence=Absence.ZERO,
 )
 
 shapley_messages = messages_only(shapley)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import subprocess
 import sys
-from importlib.metadata import entry_points
 from typing import Any
 
 import pytest
@@ -23,17 +22,14 @@ from xmarl_baselines.explainers.graphmask_pyg import graphmask_pyg
 from tests.baselines.reference import by_pyg
 from tests.helpers.deep_policies import Opened, one_layer, transformers, two_layers, with_a_lonely_timestep
 from tests.helpers.policies import random_observations, small_policy
+from tests.helpers.shipped import shipped_explainers, shipped_plugins
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.messages_only import SUFFIX
 from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.policy import ModulePolicy, Policy
 
-SHIPPED: list[Explainer] = [
-    plugin.load()
-    for plugin in sorted(entry_points(group="xmarl_bench.explainers"), key=lambda plugin: plugin.name)
-    if plugin.dist is not None and plugin.dist.name == "xmarl-bench"
-]
+SHIPPED = shipped_explainers()
 # PyG's own, unmodified: the first leaves settings on its class for whoever comes next.
 UNMODIFIED = [
     Explainer("pg, one large weight", PygExplain(lambda: PGExplainer(epochs=2, lr=0.1, edge_size=50.0))),
@@ -64,13 +60,12 @@ def test_there_is_a_file_for_every_explainer_and_a_paper_in_it() -> None:
         "attention", "attention-rowmax", "gnn_explainer", "gnn_explainer-tuned", "gradient", "graphmask",
         "graphmask-pyg", "integrated_gradients", "occlusion", "shapley",
     }  # fmt: skip
-    for plugin in entry_points(group="xmarl_bench.explainers"):
-        if plugin.dist is not None and plugin.dist.name == "xmarl-bench":
-            module = __import__(plugin.module, fromlist=["_"])
-            assert module.__name__.rsplit(".", 1)[1] == plugin.name.removesuffix(SUFFIX).replace("-", "_")
-            card = str(module.__doc__)
-            assert "Paper" in card or "Source" in card, card
-            assert "Departures" in card or "Source: the benchmark's own" in card, card
+    for plugin in shipped_plugins():
+        module = __import__(plugin.module, fromlist=["_"])
+        assert module.__name__.rsplit(".", 1)[1] == plugin.name.removesuffix(SUFFIX).replace("-", "_")
+        card = str(module.__doc__)
+        assert "Paper" in card or "Source" in card, card
+        assert "Departures" in card or "Source: the benchmark's own" in card, card
 
 
 @pytest.mark.parametrize("residual", [False, True])

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain import absence as module
-from xmarl_bench.explain.absence import DRAWS, Absence, message_rows, message_table, reference_states
+from xmarl_bench.explain.absence import DRAWS, message_rows, message_table, reference_states
 from xmarl_bench.explain.oracle import change_table
 from xmarl_bench.metrics import others_table
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy
 
 Floats = NDArray[np.float64]

@@ -28,6 +28,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import kebab, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
+from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.plugins.registry import checked_name
 from xmarl_bench.policy import Policy
 
@@ -96,6 +97,7 @@ def test_the_decorator_declares() -> None:
     assert (plain.name, plain.stochastic, plain.accesses) == ("plain", False, None)
     assert (declared.name, declared.stochastic, declared.accesses) == ("mine", True, "attention")
     assert declared.hyperparameters == {"k": 3}
+    assert (plain.absence, as_explainer(attended, absence="mean").absence) == (None, Absence.MEAN)
     assert as_explainer(attended).summary == "What the layer attends to."
     assert as_explainer(plain) is plain
 
@@ -106,6 +108,7 @@ def test_the_decorator_declares() -> None:
         ({"stochastc": True}, "declares 'stochastc': choose among name"),
         ({"stochastic": 1}, "stochastic = 1: give True or False"),
         ({"accesses": "weights"}, "accesses = 'weights': give one of black-box, attention, gradients"),
+        ({"absence": "gone"}, "absence = 'gone': give one of zero, mean, resample, renormalised"),
         ({"hyperparameters": {"layers": [1, 2]}}, "give a dict of names and numbers"),
         ({"name": 3}, "name = 3: give a string"),
         ({"needs_fit": True}, "give it a method fit"),

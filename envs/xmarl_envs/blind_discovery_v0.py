@@ -4,6 +4,7 @@
 |---|---|
 | Agents | `agent_0` ... `agent_{N-1}`, 1 <= N <= 64 (done takes two), discs of radius 0.05 m and mass 1 kg |
 | Action | Box(-1, 1, (2,), float32): force in newton; what lies outside is clipped |
+| | `continuous_actions=False`: Discrete(5), full force: 0 none, 1 left, 2 right, 3 down, 4 up |
 | Observation | Box(-inf, inf, (5,), float32): position (m), velocity (m/s), landmark within 0.35 m (1 or 0) |
 | World | centres stay in a square of half-width 1 m (sqrt(N / 8) above N = 8); the landmark is not solid |
 | Start | agents and landmark uniform in the square, pairwise >= 0.2 m |

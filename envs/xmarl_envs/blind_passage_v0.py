@@ -4,6 +4,7 @@
 |---|---|
 | Agents | `agent_0` ... `agent_{N-1}`, 1 <= N <= 5, discs of radius 0.03333 m and mass 1 kg |
 | Action | Box(-1, 1, (2,), float32), times 0.7: force in newton; what lies outside is clipped |
+| | `continuous_actions=False`: Discrete(5), full force: 0 none, 1 left, 2 right, 3 down, 4 up |
 | Observation | Box(-inf, inf, (8,), float32): position, velocity (m/s), goal - position, gap - position (m) |
 | World | centres stay in [-1, 1]^2; a wall 0.2 m thick on y = 0, one gap 0.103 m wide at one of 20 slots |
 | Start | a cross (centre and 4 arms, spacing 0.1 m) below the wall, goals the same slots above it |

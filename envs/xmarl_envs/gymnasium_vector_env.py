@@ -15,6 +15,7 @@ from gymnasium.vector import VectorEnv as GymnasiumVectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from xmarl_envs.actions import team_action_space
 from xmarl_envs.seed_row import SeedRow
 from xmarl_envs.task import Bools, Floats, Task
 from xmarl_envs.vector_env import Step, VectorEnv
@@ -23,13 +24,14 @@ Array = NDArray[np.float32]
 Infos = dict[str, Any]
 
 
-class TeamVectorEnv(GymnasiumVectorEnv[Array, Array, NDArray[Any]]):
+class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
     """`num_envs` teams of N agents, with auto-reset in any of Gymnasium's three modes.
 
     | | shape | |
     |---|---|---|
     | observations | (num_envs, N, D) float32 | what each agent sees |
     | actions | (num_envs, N, 2) float32 | in [-1, 1] |
+    | with `continuous_actions=False` | (num_envs, N) int64 | 0 to 4, see xmarl_envs.actions |
     | rewards | (num_envs,) float64 | the mean over a team's agents |
     | terminations, truncations | (num_envs,) bool | done; max_cycles reached and not done |
     | infos["agent_reward"] | (num_envs, N) float64 | each agent's own reward |
@@ -61,7 +63,7 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, Array, NDArray[Any]]):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"name": task.name, "render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.single_observation_space = spaces.Box(-np.inf, np.inf, (task.n_agents, task.obs_dim), np.float32)
-        self.single_action_space = spaces.Box(-1.0, 1.0, (task.n_agents, 2), np.float32)
+        self.single_action_space = team_action_space(task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._env = VectorEnv(task, num_envs, max_cycles, copies_per_space)
@@ -81,7 +83,7 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, Array, NDArray[Any]]):
                 self._rows[k] = SeedRow(given)
         return self._begin(begin), {}
 
-    def step(self, actions: Array) -> tuple[Array, Floats, Bools, Bools, Infos]:
+    def step(self, actions: NDArray[Any]) -> tuple[Array, Floats, Bools, Bools, Infos]:
         if self.autoreset_mode is AutoresetMode.DISABLED and self._over.any():
             raise ValueError(
                 f"the episodes of entries {np.flatnonzero(self._over).tolist()} are over: begin new ones "

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec, wrappers
 
+from xmarl_envs.actions import action_space
 from xmarl_envs.scene import Track
 from xmarl_envs.seed_row import SeedRow
 from xmarl_envs.task import Task
@@ -22,14 +23,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float32]
 
 
-class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # no py.typed in pettingzoo
+class TaskParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # no py.typed in pettingzoo
     """One episode of `task` at a time, with PettingZoo's Parallel API.
 
-    Observations are float32 (obs_dim,); actions Box(-1, 1, (2,)); `state()` is all observations in agent
-    order, (N * obs_dim,), for centralised critics. Each agent's info holds `at_goal` (discovery: `found`),
+    Observations are float32 (obs_dim,); actions Box(-1, 1, (2,)), or Discrete(5) where the task has
+    `continuous_actions=False` (xmarl_envs.actions); `state()` is all observations in agent order,
+    (N * obs_dim,), for centralised critics. Each agent's info holds `at_goal` (discovery: `found`),
     `agent_collision` and `object_collision` of the step just taken; after `reset` it is empty.
 
-    `step` raises ValueError if actions are missing, not finite or of another shape.
+    `step` raises ValueError if actions are missing, of another shape, not finite, or no numbers of actions.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "is_parallelizable": True}
@@ -49,9 +51,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         self.agents: list[str] = []
         box = spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
         self.observation_spaces = {agent: box for agent in self.possible_agents}
-        self.action_spaces = {
-            agent: spaces.Box(-1.0, 1.0, (2,), np.float32) for agent in self.possible_agents
-        }
+        self.action_spaces = {agent: action_space(task) for agent in self.possible_agents}
         self.state_space = spaces.Box(-np.inf, np.inf, (task.n_agents * task.obs_dim,), np.float32)
 
     @property
@@ -84,7 +84,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
         return self._by_agent(observation), {agent: {} for agent in self.agents}
 
     def step(
-        self, actions: dict[str, Array]
+        self, actions: dict[str, Any]
     ) -> tuple[
         dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
     ]:
@@ -142,22 +142,24 @@ class TaskParallelEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]  # 
             self._renderer.close()
             self._renderer = None
 
-    def _in_order(self, actions: dict[str, Array]) -> NDArray[np.float64]:
-        """(1, N, 2): the agents' actions. Raises ValueError that names the first invalid one."""
+    def _in_order(self, actions: dict[str, Any]) -> NDArray[Any]:
+        """(1, N, 2) or (1, N): the agents' actions. Raises ValueError that names the first invalid one."""
+        dtype = np.float64 if self.task.continuous_actions else None
         try:
-            action = np.array([[actions[agent] for agent in self.agents]], dtype=np.float64)
+            action = np.array([[actions[agent] for agent in self.agents]], dtype)
         except (KeyError, ValueError):
             action = np.empty(0)  # missing or of different shapes: reported below
-        if action.shape != (1, self.task.n_agents, 2):
+        expected = self._vector.action_shape
+        if action.shape != expected:
             missing = [agent for agent in self.agents if agent not in actions]
             if missing:
                 raise ValueError(
                     f"every live agent needs an action, none was given for {', '.join(missing)}."
                 )
             for agent in self.agents:
-                shape = np.asarray(actions[agent], dtype=np.float64).shape
-                if shape != (2,):
-                    raise ValueError(f"the action of {agent} must have shape (2,), got {shape}.")
+                shape = np.asarray(actions[agent], dtype).shape
+                if shape != expected[2:]:
+                    raise ValueError(f"the action of {agent} must have shape {expected[2:]}, got {shape}.")
         return action
 
     def _by_agent(self, observation: Array) -> dict[str, Array]:
@@ -168,14 +170,15 @@ class Constructors(NamedTuple):
     """The three constructors of a PettingZoo module."""
 
     parallel_env: Callable[..., TaskParallelEnv]
-    env: Callable[..., AECEnv[str, Array, Array]]
-    raw_env: Callable[..., AECEnv[str, Array, Array]]
+    env: Callable[..., AECEnv[str, Array, Any]]
+    raw_env: Callable[..., AECEnv[str, Array, Any]]
 
 
 def make_constructors(task_class: type[Task]) -> Constructors:
     """`parallel_env`, `env` and `raw_env` of a task, as PettingZoo names them.
 
-    Each takes n_agents=3, max_cycles=None (the task's own), render_mode=None and the task's options.
+    Each takes n_agents=3, max_cycles=None (the task's own), render_mode=None, continuous_actions=True and
+    the task's options.
     """
 
     def parallel_env(
@@ -183,10 +186,10 @@ def make_constructors(task_class: type[Task]) -> Constructors:
     ) -> TaskParallelEnv:
         return TaskParallelEnv(task_class(n_agents=n_agents, **options), max_cycles, render_mode)
 
-    def raw_env(**kwargs: Any) -> AECEnv[str, Array, Array]:
+    def raw_env(**kwargs: Any) -> AECEnv[str, Array, Any]:
         return parallel_to_aec(parallel_env(**kwargs))
 
-    def env(**kwargs: Any) -> AECEnv[str, Array, Array]:
+    def env(**kwargs: Any) -> AECEnv[str, Array, Any]:
         return wrappers.OrderEnforcingWrapper(raw_env(**kwargs))
 
     for constructor in (parallel_env, raw_env, env):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
+from xmarl_envs.actions import action_space
 from xmarl_envs.seed_row import SeedRow
 from xmarl_envs.task import Task
 from xmarl_envs.vector_env import VectorEnv
@@ -30,7 +31,7 @@ class OneObjectVecEnv(VecEnv):
 
     render_mode: str | None = None  # SB3 warns if it is missing
 
-    def step_async(self, actions: NDArray[np.float32]) -> None:
+    def step_async(self, actions: NDArray[Any]) -> None:
         self._actions = actions
 
     def close(self) -> None:
@@ -58,8 +59,9 @@ class OneObjectVecEnv(VecEnv):
 class AgentVecEnv(OneObjectVecEnv):
     """`n_episodes` teams of N agents with auto-reset; entry e is agent e % N of team e // N.
 
-    Observations (n_episodes * N, D) float32, actions (n_episodes * N, 2) in [-1, 1], rewards
-    (n_episodes * N,) float32: each agent's own, as the task pays it. A team's agents are done together.
+    Observations (n_episodes * N, D) float32, actions (n_episodes * N, 2) in [-1, 1], or (n_episodes * N,) of
+    0 to 4 where the task has `continuous_actions=False` (xmarl_envs.actions), rewards (n_episodes * N,)
+    float32: each agent's own, as the task pays it. A team's agents are done together.
 
     infos, per entry: `at_goal` (discovery: `found`), `agent_collision` and `object_collision` of the step
     just taken, and `TimeLimit.truncated`; where an episode ended also `terminal_observation` (D,) and
@@ -87,7 +89,7 @@ class AgentVecEnv(OneObjectVecEnv):
         super().__init__(
             n_episodes * task.n_agents,
             spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32),
-            spaces.Box(-1.0, 1.0, (2,), np.float32),
+            action_space(task),
         )
         if seed is not None:
             self.seed(seed)
@@ -109,7 +111,7 @@ class AgentVecEnv(OneObjectVecEnv):
 
     def step_wait(self) -> StepReturn:
         n_agents = self.task.n_agents
-        step = self._env.step(np.asarray(self._actions).reshape(-1, n_agents, 2))
+        step = self._env.step(np.asarray(self._actions).reshape(self._env.action_shape))
         done = step.terminated | step.truncated
         infos: list[dict[str, Any]] = [
             {

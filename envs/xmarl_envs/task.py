@@ -7,7 +7,7 @@ Lengths are in metres, times in seconds, velocities in m/s. Discs do not rotate,
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import sqrt
 from typing import ClassVar, NamedTuple
 
@@ -46,9 +46,13 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True)
 class Task(ABC):
-    """Rules of one task for a team of `n_agents`. Stateless: every method is a function of its arguments."""
+    """Rules of one task for a team of `n_agents`. Stateless: every method is a function of its arguments.
+
+    continuous_actions: False gives each agent five actions to choose from, see xmarl_envs.actions.
+    """
 
     n_agents: int = 3
+    continuous_actions: bool = field(default=True, kw_only=True)
 
     name: ClassVar[str]
     observation_names: ClassVar[tuple[str, ...]]  # one name per entry of an observation

@@ -33,6 +33,7 @@ from pettingzoo.test import (
 from pettingzoo.test.state_test import state_test
 from pettingzoo.utils import BaseParallelWrapper, parallel_to_aec
 
+from xmarl_envs.actions import random_actions
 from xmarl_envs.parallel import make_constructors
 from xmarl_envs.task import Task
 from xmarl_envs.trajectory import Pushes, play, play_env, play_task
@@ -210,7 +211,7 @@ def _check_observations(task: Task, make: Make, seed: int) -> None:
         env = VectorEnv(task)
         for trial in range(10):
             env.reset([seed + trial])
-            env.step(rng.uniform(-1, 1, (1, task.n_agents, 2)))
+            env.step(random_actions(task, 1, rng))
             for mover in range(task.n_agents):
                 before = env.observe()[0]
                 env.world.position[0, mover] = rng.uniform(-3, 3, 2)

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from xmarl_envs.actions import nearest_actions
 from xmarl_envs.task import Task
 from xmarl_envs.vector_env import VectorEnv
 
@@ -113,7 +114,7 @@ def play(env: VectorEnv, seed: int, slot: int = 0, meddling: bool = False) -> tu
         live = np.ones(env.n_episodes, dtype=np.bool_)
         if meddling and others:
             live[others] = other_rng.random(len(others)) < 0.9
-        step = env.step(action, live)
+        step = env.step(nearest_actions(env.task, action), live)
         for part in step:
             digest.update(part[slot].tobytes())
         n_contacts += int((step.agent_collision[slot] | step.object_collision[slot]).sum())

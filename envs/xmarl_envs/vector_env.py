@@ -4,13 +4,13 @@ environment is one with a single episode.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xmarl_envs.actions import action_shape, pushes
 from xmarl_envs.task import Bools, Floats, State, Task, distance
 from xmarl_envs.world import World
 
@@ -54,7 +54,7 @@ class VectorEnv:
         # 0-d arrays: numpy takes longer to convert a Python float than to compute a small team.
         self._contact_distance = np.array(2 * task.radius + task.collision_gap)
         self._u_mult, self._one = np.array(task.u_mult), np.array(1)
-        self._action_shape = (n_episodes, n_agents, 2)
+        self._action_shape = (n_episodes, *action_shape(task))
         self._first, self._second = np.triu_indices(n_agents, k=1)
         pairs = np.arange(self._first.size)
         # (pairs, N): 1 for both agents of a pair; contacts (B, pairs) @ it counts each agent's partners.
@@ -95,21 +95,21 @@ class VectorEnv:
     def observe(self) -> NDArray[np.float32]:
         return self.task.observe(self._state).astype(np.float32)
 
-    def step(self, action: NDArray[np.floating], live: Bools | None = None) -> Step:
-        """Apply actions (B, N, 2), clipped to [-1, 1], for one cycle of 0.1 s.
+    @property
+    def action_shape(self) -> tuple[int, ...]:
+        """Of what `step` takes: (B, N, 2), or (B, N) where actions are discrete."""
+        return self._action_shape
+
+    def step(self, action: NDArray[Any], live: Bools | None = None) -> Step:
+        """Apply actions of `action_shape` (see xmarl_envs.actions) for one cycle of 0.1 s.
 
         live: (B,) episodes to advance. The others may stay as they are; ignore their results.
         """
         if action.shape != self._action_shape:
             raise ValueError(f"actions must have shape {self._action_shape}, got {action.shape}.")
-        size = np.abs(action)
-        largest = size.item(size.argmax())  # NaN counts as largest
-        if not math.isfinite(largest):
-            raise ValueError(f"actions of {self.task.name} must be finite numbers, got NaN or infinity.")
-        if largest > 1.0:
-            action = np.clip(action, -1.0, 1.0)
+        push = pushes(self.task, action)
         before = self.world.position.copy()
-        self.world.step(action * self._u_mult, live)  # float64, whatever dtype the actions have
+        self.world.step(push * self._u_mult, live)  # float64, whatever dtype the actions have
         self.cycles += self._one
         position = self.world.position
         # `take`: indexing an axis in the middle is 15 times slower.

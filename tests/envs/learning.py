@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
@@ -44,7 +45,8 @@ def mean_last_distance(model: PPO) -> float:
         if local["done"]:
             distances.append(np.linalg.norm(local["info"]["terminal_observation"][4:6]))
 
-    task = make_task("blind_navigation_v0", N_AGENTS)
+    discrete = isinstance(model.action_space, spaces.Discrete)
+    task = make_task("blind_navigation_v0", N_AGENTS, continuous_actions=not discrete)
     env = VecMonitor(AgentVecEnv(task, 20, seed=10_000, max_cycles=MAX_CYCLES))
     evaluate_policy(model, env, n_eval_episodes=env.num_envs, callback=collect)
     assert len(distances) == env.num_envs

@@ -14,22 +14,28 @@ from gymnasium.utils.performance import benchmark_vector_step
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, NormalizeObservation, RecordEpisodeStatistics
 from numpy.typing import NDArray
-from xmarl_envs import TASKS, TaskParallelEnv, make_task
+from xmarl_envs import TASKS, Task, TaskParallelEnv, make_task
+from xmarl_envs.actions import nearest_actions
 from xmarl_envs.gymnasium_vector_env import TeamVectorEnv
 
 NUM_ENVS, N_AGENTS, MAX_CYCLES = 5, 3, 40
 tasks = pytest.mark.parametrize("name", TASKS)
+both_actions = pytest.mark.parametrize("continuous", [True, False], ids=["box", "discrete"])
 modes = pytest.mark.parametrize("mode", list(AutoresetMode))
-Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+Act = Callable[[NDArray[np.float32]], NDArray[Any]]
 
 
-class TeamEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class TeamEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]]):
     """One team as an ordinary Gymnasium environment: the peer that SyncVectorEnv makes many of."""
 
-    def __init__(self, name: str) -> None:
-        self.env = TaskParallelEnv(make_task(name, N_AGENTS), MAX_CYCLES)
+    def __init__(self, task: Task) -> None:
+        self.env = TaskParallelEnv(task, MAX_CYCLES)
         self.observation_space = spaces.Box(-np.inf, np.inf, (N_AGENTS, self.env.task.obs_dim), np.float32)
-        self.action_space = spaces.Box(-1.0, 1.0, (N_AGENTS, 2), np.float32)
+        self.action_space = (
+            spaces.Box(-1.0, 1.0, (N_AGENTS, 2), np.float32)
+            if task.continuous_actions
+            else spaces.MultiDiscrete([5] * N_AGENTS)
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -37,9 +43,7 @@ class TeamEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         super().reset(seed=seed)
         return np.stack(list(self.env.reset(seed)[0].values())), {}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         actions = dict(zip(self.env.agents, action, strict=True))
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         infos_by_key = {
@@ -55,38 +59,49 @@ class TeamEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         )
 
 
-def peer(name: str, mode: AutoresetMode) -> SyncVectorEnv:
-    return SyncVectorEnv([lambda: TeamEnv(name)] * NUM_ENVS, autoreset_mode=mode)
+def peer(task: Task, mode: AutoresetMode) -> SyncVectorEnv:
+    return SyncVectorEnv([lambda: TeamEnv(task)] * NUM_ENVS, autoreset_mode=mode)
 
 
-def ours(name: str, mode: AutoresetMode) -> TeamVectorEnv:
-    return TeamVectorEnv(make_task(name, N_AGENTS), NUM_ENVS, MAX_CYCLES, autoreset_mode=mode)
+def ours(task: Task, mode: AutoresetMode) -> TeamVectorEnv:
+    return TeamVectorEnv(task, NUM_ENVS, MAX_CYCLES, autoreset_mode=mode)
 
 
-def steering(name: str, seed: int = 0) -> Act:
+NAVIGATION = make_task("blind_navigation_v0", N_AGENTS)
+
+
+def steering(task: Task, seed: int = 0) -> Act:
     """Navigation flies to its goals, for episodes to end at different times; the others push at random."""
     rng = np.random.default_rng(seed)
 
-    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(observation: NDArray[np.float32]) -> NDArray[Any]:
         noise = rng.uniform(-1, 1, (NUM_ENVS, N_AGENTS, 2)).astype(np.float32)
-        if name != "blind_navigation_v0":
-            return noise
+        if task.name != "blind_navigation_v0":
+            return nearest_actions(task, noise)
         pull = -4 * observation[..., 4:6] - 2 * observation[..., 2:4]
+        if not task.continuous_actions:
+            return nearest_actions(task, 10 * pull)  # hard along the longer of the two ways
         return np.clip(pull + 0.1 * noise, -1, 1)
 
     return act
 
 
-def test_the_peer_is_a_sound_gymnasium_environment() -> None:
-    check_env(TeamEnv("blind_navigation_v0"), skip_render_check=True)
+@both_actions
+def test_the_peer_is_a_sound_gymnasium_environment(continuous: bool) -> None:
+    task = make_task("blind_navigation_v0", N_AGENTS, continuous_actions=continuous)
+    check_env(TeamEnv(task), skip_render_check=True)
 
 
 @pytest.mark.slow
 @tasks
 @modes
-def test_every_step_is_that_of_gymnasium_s_own_vector_environment(name: str, mode: AutoresetMode) -> None:
-    envs = [peer(name, mode), ours(name, mode)]
-    act = steering(name)
+@both_actions
+def test_every_step_is_that_of_gymnasium_s_own_vector_environment(
+    name: str, mode: AutoresetMode, continuous: bool
+) -> None:
+    task = make_task(name, N_AGENTS, continuous_actions=continuous)
+    envs = [peer(task, mode), ours(task, mode)]
+    act = steering(task)
     results: list[Any] = [env.reset(seed=3) for env in envs]
     same(results)
     begun_again = n_terminated = n_truncated = 0
@@ -130,8 +145,10 @@ def same_infos(mine: dict[str, Any], theirs: dict[str, Any]) -> None:
 
 
 @tasks
-def test_spaces_and_metadata(name: str) -> None:
-    mine, theirs = ours(name, AutoresetMode.SAME_STEP), peer(name, AutoresetMode.SAME_STEP)
+@both_actions
+def test_spaces_and_metadata(name: str, continuous: bool) -> None:
+    task = make_task(name, N_AGENTS, continuous_actions=continuous)
+    mine, theirs = ours(task, AutoresetMode.SAME_STEP), peer(task, AutoresetMode.SAME_STEP)
     assert mine.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     assert (mine.num_envs, mine.observation_space, mine.action_space) == (
         theirs.num_envs,
@@ -146,8 +163,8 @@ def test_spaces_and_metadata(name: str) -> None:
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_gymnasium_s_statistics_of_episodes_are_the_same_on_both(mode: AutoresetMode) -> None:
     recorded = []
-    for env in (peer("blind_navigation_v0", mode), ours("blind_navigation_v0", mode)):
-        act, wrapped = steering("blind_navigation_v0"), RecordEpisodeStatistics(env)
+    for env in (peer(NAVIGATION, mode), ours(NAVIGATION, mode)):
+        act, wrapped = steering(NAVIGATION), RecordEpisodeStatistics(env)
         observation, _ = wrapped.reset(seed=3)
         for _ in range(100):
             observation = wrapped.step(act(observation))[0]
@@ -157,7 +174,7 @@ def test_gymnasium_s_statistics_of_episodes_are_the_same_on_both(mode: Autoreset
 
 
 def test_gymnasium_s_wrappers_work_on_it() -> None:
-    env = NormalizeObservation(DictInfoToList(ours("blind_navigation_v0", AutoresetMode.NEXT_STEP)))
+    env = NormalizeObservation(DictInfoToList(ours(NAVIGATION, AutoresetMode.NEXT_STEP)))
     env.action_space.seed(0)
     env.reset(seed=3)
     for _ in range(100):
@@ -186,7 +203,7 @@ def test_gymnasium_makes_it_by_name_and_measures_it(registered: str) -> None:
 
 
 def test_what_is_wrong_is_said() -> None:
-    env = ours("blind_navigation_v0", AutoresetMode.DISABLED)
+    env = ours(NAVIGATION, AutoresetMode.DISABLED)
     with pytest.raises(ValueError, match="each entry needs one seed: got 2 seeds for 5 entries"):
         env.reset(seed=[1, 2])
     with pytest.raises(ValueError, match="a seed must be a whole number from 0 on, got -1"):

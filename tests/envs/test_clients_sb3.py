@@ -12,19 +12,21 @@ from numpy.typing import NDArray
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
-from xmarl_envs import TASKS, TaskParallelEnv, make_task
+from xmarl_envs import TASKS, Task, TaskParallelEnv, make_task
+from xmarl_envs.actions import nearest_actions
 from xmarl_envs.sb3_vec_env import AgentVecEnv
 
 from tests.envs.learning import MAX_CYCLES, N_AGENTS, distances_before_and_after_learning
 
 tasks = pytest.mark.parametrize("name", TASKS)
+both_actions = pytest.mark.parametrize("continuous", [True, False], ids=["box", "discrete"])
 
 
-class LoneAgentEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class LoneAgentEnv(gymnasium.Env[NDArray[np.float32], Any]):
     """A team of one as an ordinary Gymnasium environment, which SB3's own DummyVecEnv makes many of."""
 
-    def __init__(self, name: str, max_cycles: int) -> None:
-        self.env = TaskParallelEnv(make_task(name, 1), max_cycles)
+    def __init__(self, task: Task, max_cycles: int) -> None:
+        self.env = TaskParallelEnv(task, max_cycles)
         self.observation_space = self.env.observation_space("agent_0")
         self.action_space = self.env.action_space("agent_0")
 
@@ -33,29 +35,34 @@ class LoneAgentEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         return self.env.reset(seed)[0]["agent_0"], {}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         observations, rewards, terminations, truncations, infos = self.env.step({"agent_0": action})
         agent = "agent_0"
         return observations[agent], rewards[agent], terminations[agent], truncations[agent], infos[agent]
 
 
-def straight(observation: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Navigation, (entries, 2): fly to the goal, for episodes to end at different times."""
-    return np.clip(-4 * observation[:, 4:6] - 2 * observation[:, 2:4] + 0.1 * noise, -1, 1)
+def steered(task: Task, observation: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[Any]:
+    """(entries, 2) noise -> actions. Navigation flies to its goals: episodes end at different times."""
+    if task.name != "blind_navigation_v0":
+        return nearest_actions(task, noise)
+    pull = -4 * observation[:, 4:6] - 2 * observation[:, 2:4]
+    if not task.continuous_actions:
+        return nearest_actions(task, 10 * pull)  # hard along the longer of the two ways
+    return np.clip(pull + 0.1 * noise, -1, 1)
 
 
-def test_the_peer_is_what_sb3_asks_for() -> None:
-    check_env(LoneAgentEnv("blind_navigation_v0", 20))
+@both_actions
+def test_the_peer_is_what_sb3_asks_for(continuous: bool) -> None:
+    check_env(LoneAgentEnv(make_task("blind_navigation_v0", 1, continuous_actions=continuous), 20))
 
 
 @pytest.mark.slow
 @tasks
-def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str) -> None:
+@both_actions
+def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str, continuous: bool) -> None:
     """Every bit of observations, rewards, dones and infos, over terminations and truncations."""
-    peer = DummyVecEnv([lambda: LoneAgentEnv(name, 30)] * 6)
-    task = make_task(name, 1)
+    task = make_task(name, 1, continuous_actions=continuous)
+    peer = DummyVecEnv([lambda: LoneAgentEnv(task, 30)] * 6)
     ours = AgentVecEnv(task, 6, max_cycles=30)
     assert ours.observation_space == peer.observation_space
     assert ours.action_space == peer.action_space
@@ -67,9 +74,7 @@ def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str) -> None:
         expected, observation = peer.reset(), ours.reset()
         for _ in range(100):
             np.testing.assert_array_equal(observation, expected)
-            action = rng.uniform(-1, 1, (6, 2)).astype(np.float32)
-            if name == "blind_navigation_v0":
-                action = straight(observation, action)
+            action = steered(task, observation, rng.uniform(-1, 1, (6, 2)).astype(np.float32))
             expected, expected_reward, expected_done, expected_infos = peer.step(action)
             observation, reward, done, infos = ours.step(action)
             for mine, other in ((reward, expected_reward), (done, expected_done)):
@@ -87,22 +92,22 @@ def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str) -> None:
 
 
 @tasks
-def test_entries_are_the_agents_of_one_team_after_the_other(name: str) -> None:
-    env = AgentVecEnv(make_task(name, 3), 4, seed=20, max_cycles=45)
-    teams = [TaskParallelEnv(make_task(name, 3), 45) for _ in range(4)]
+@both_actions
+def test_entries_are_the_agents_of_one_team_after_the_other(name: str, continuous: bool) -> None:
+    task = make_task(name, 3, continuous_actions=continuous)
+    env = AgentVecEnv(task, 4, seed=20, max_cycles=45)
+    teams = [TaskParallelEnv(task, 45) for _ in range(4)]
     ends: list[list[bool]] = []
     observation: Any = env.reset()
     expected = [team.reset(seed=20 + k)[0] for k, team in enumerate(teams)]
     rng = np.random.default_rng(1)
     for _ in range(100):
         np.testing.assert_array_equal(observation, [seen for team in expected for seen in team.values()])
-        action = rng.uniform(-1, 1, (4, 3, 2)).astype(np.float32)
-        if name == "blind_navigation_v0":
-            action = straight(observation, action.reshape(12, 2)).reshape(4, 3, 2)
-        observation, reward, done, infos = env.step(action.reshape(12, 2))
+        action = steered(task, observation, rng.uniform(-1, 1, (12, 2)).astype(np.float32))
+        observation, reward, done, infos = env.step(action)
         for k, team in enumerate(teams):
             seen, rewards, terminated, truncated, info = team.step(
-                dict(zip(team.agents, action[k], strict=True))
+                dict(zip(team.agents, action[3 * k : 3 * k + 3], strict=True))
             )
             over = terminated["agent_0"] or truncated["agent_0"]
             for i, agent in enumerate(team.possible_agents):
@@ -122,20 +127,22 @@ def test_entries_are_the_agents_of_one_team_after_the_other(name: str) -> None:
 
 
 @pytest.mark.training
-def test_ppo_learns_a_little_with_shared_parameters() -> None:
-    task = make_task("blind_navigation_v0", N_AGENTS)
+@both_actions
+def test_ppo_learns_a_little_with_shared_parameters(continuous: bool) -> None:
+    task = make_task("blind_navigation_v0", N_AGENTS, continuous_actions=continuous)
     env = AgentVecEnv(task, 16, max_cycles=MAX_CYCLES, copies_per_space=64)
     before, after = distances_before_and_after_learning(env)
     assert before > 1.0
     assert after < 0.8 * before  # measured: 0.33 to 0.39 of it over three seeds
 
 
-def test_a_seeded_ppo_repeats_and_another_seed_differs() -> None:
+@both_actions
+def test_a_seeded_ppo_repeats_and_another_seed_differs(continuous: bool) -> None:
     weights = []
     for seed in (5, 5, 6):
         model = PPO(
             "MlpPolicy",
-            AgentVecEnv(make_task("blind_passage_v0"), 2),
+            AgentVecEnv(make_task("blind_passage_v0", continuous_actions=continuous), 2),
             n_steps=32,
             batch_size=64,
             n_epochs=1,

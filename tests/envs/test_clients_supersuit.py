@@ -12,11 +12,13 @@ from pettingzoo.test import api_test, parallel_api_test
 from pettingzoo.utils import parallel_to_aec
 from stable_baselines3 import PPO
 from xmarl_envs import TASKS, TaskParallelEnv, blind_navigation_v0, blind_passage_v0, make_task
+from xmarl_envs.actions import nearest_actions
 from xmarl_envs.sb3_vec_env import AgentVecEnv, SuperSuitVecEnv
 
 from tests.envs.learning import MAX_CYCLES, N_AGENTS, distances_before_and_after_learning
 
 tasks = pytest.mark.parametrize("name", TASKS)
+both_actions = pytest.mark.parametrize("continuous", [True, False], ids=["box", "discrete"])
 
 
 def concatenated(env: Any, copies: int, base_class: str = "gymnasium", num_cpus: int = 0) -> Any:
@@ -25,9 +27,11 @@ def concatenated(env: Any, copies: int, base_class: str = "gymnasium", num_cpus:
 
 
 @tasks
-def test_our_own_vector_environment_plays_what_supersuit_s_plays(name: str) -> None:
-    theirs = SuperSuitVecEnv(concatenated(TaskParallelEnv(make_task(name, 3), 10), 4))
-    ours = AgentVecEnv(make_task(name, 3), 4, max_cycles=10)
+@both_actions
+def test_our_own_vector_environment_plays_what_supersuit_s_plays(name: str, continuous: bool) -> None:
+    task = make_task(name, 3, continuous_actions=continuous)
+    theirs = SuperSuitVecEnv(concatenated(TaskParallelEnv(task, 10), 4))
+    ours = AgentVecEnv(task, 4, max_cycles=10)
     rng = np.random.default_rng(0)
     assert ours.seed(7) == theirs.seed(7) == [7] * 3 + [8] * 3 + [9] * 3 + [10] * 3
     observation: Any = ours.reset()
@@ -35,7 +39,7 @@ def test_our_own_vector_environment_plays_what_supersuit_s_plays(name: str) -> N
     n_done = 0
     for _ in range(25):
         np.testing.assert_array_equal(observation, expected)
-        action = rng.uniform(-1, 1, (12, 2)).astype(np.float32)
+        action = nearest_actions(task, rng.uniform(-1, 1, (12, 2)).astype(np.float32))
         observation, reward, done, infos = ours.step(action)
         expected, expected_reward, expected_done, expected_infos = theirs.step(action)
         for mine, other in ((reward, expected_reward), (done, expected_done)):

@@ -15,6 +15,7 @@ from xmarl_envs.info_at_reset import InfoAtReset
 
 pytestmark = pytest.mark.slow  # TorchRL takes a second to import: in functions, not where tests are collected
 tasks = pytest.mark.parametrize("name", TASKS)
+both_actions = pytest.mark.parametrize("continuous", [True, False], ids=["box", "discrete"])
 
 
 @pytest.fixture(autouse=True)
@@ -37,11 +38,13 @@ def check_env_specs(env: Any) -> None:
 
 
 @tasks
-def test_specs_hold_and_a_rollout_is_the_episode(name: str) -> None:
-    env = wrapped(InfoAtReset(TaskParallelEnv(make_task(name, 3), 12)), return_state=True)
+@both_actions
+def test_specs_hold_and_a_rollout_is_the_episode(name: str, continuous: bool) -> None:
+    task = make_task(name, 3, continuous_actions=continuous)
+    env = wrapped(InfoAtReset(TaskParallelEnv(task, 12)), return_state=True)
     check_env_specs(env)
     assert env.group_map == {"agent": ["agent_0", "agent_1", "agent_2"]}
-    peer = TaskParallelEnv(make_task(name, 3), 12)
+    peer = TaskParallelEnv(task, 12)
     env.set_seed(4)  # resets with the seed; the rollout below resets once more, as TorchRL has it
     peer.reset(seed=4)
     rollout = env.rollout(20)
@@ -70,8 +73,10 @@ def same(tensor: torch.Tensor, by_agent: dict[str, Any]) -> None:
 
 
 @tasks
-def test_turn_by_turn_environments_are_stepped_too(name: str) -> None:
-    env = wrapped(parallel_to_aec(TaskParallelEnv(make_task(name, 2), 6)), use_mask=True)
+@both_actions
+def test_turn_by_turn_environments_are_stepped_too(name: str, continuous: bool) -> None:
+    task = make_task(name, 2, continuous_actions=continuous)
+    env = wrapped(parallel_to_aec(TaskParallelEnv(task, 6)), use_mask=True)
     check_env_specs(env)
     rollout = env.rollout(40)
     assert rollout["next", "done"][-1].item()

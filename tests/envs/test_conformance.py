@@ -41,6 +41,9 @@ RETURN = tuple[
         ("blind_passage_v0", {"n_agents": 5, "shared_reward": True, "seed": 3}),
         ("blind_passage_v0", {"n_agents": 1}),
         ("blind_discovery_v0", {"n_agents": 5}),
+        ("blind_navigation_v0", {"n_agents": 3, "continuous_actions": False}),
+        ("blind_passage_v0", {"n_agents": 3, "continuous_actions": False}),
+        ("blind_discovery_v0", {"n_agents": 3, "continuous_actions": False}),
     ],
 )
 def test_our_tasks_conform(name: str, options: dict[str, Any]) -> None:

@@ -1,13 +1,13 @@
-"""The control without communication: independent PPO straight from the ecosystem.
+"""The control without communication: independent PPO by SuperSuit and stable-baselines3.
 
-SuperSuit turns the PettingZoo environment into a vector of agents, stable-baselines3's PPO with its default
-MLP policy and hyperparameters trains one network that every agent runs on its own observation (de Witt et al.
-2020, "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?"). What it does not reach
-is what blindness costs.
+SuperSuit makes a vector of agents of the PettingZoo environment. Stable-baselines3's PPO with its default MLP
+policy and hyperparameters trains one network that every agent runs on its own observation (de Witt et al.
+2020, "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?"). It shows how far a team
+gets without messages.
 
     python -m xmarl_baselines.independent_ppo --task blind_discovery_v0
 
-writes baselines/xmarl_baselines/controls/TASK.json, which the table of baselines/README.md shows.
+writes baselines/xmarl_baselines/controls/TASK.json, shown in baselines/README.md.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ COPIES = 32  # teams side by side
 
 
 class IndependentPolicy(Policy):
-    """An SB3 actor run by every agent on what it observes itself: no mask changes anything."""
+    """An SB3 actor that every agent runs on its own observation. Masks change nothing."""
 
     row_wise = True
 
     def __init__(self, model: PPO) -> None:
         super().__init__()
-        # The layers alone: SB3's policy keeps its last distribution, and so can't be copied.
+        # Only the layers: SB3's policy keeps its last distribution and therefore cannot be copied.
         self.mean = nn.Sequential(model.policy.mlp_extractor.policy_net, model.policy.action_net)
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
@@ -59,14 +59,14 @@ class IndependentPolicy(Policy):
         return ActionDistribution(loc, torch.ones_like(loc))
 
     def attention(self, observation: Tensor) -> Tensor:
-        """Everybody listens to itself."""
+        """Every agent listens to itself only."""
         n_agents = observation.shape[-2]
         return torch.eye(n_agents).expand(*observation.shape[:-2], n_agents, n_agents)
 
 
 def train(task: str, n_agents: int, frames: int, seed: int) -> PPO:
     """SB3's PPO on SuperSuit's vector of agents, for `frames` team-steps."""
-    import supersuit  # of the `dev` extra: only this control needs it
+    import supersuit  # in the `dev` extra; only this control needs it
 
     vector = supersuit.pettingzoo_env_to_vec_env_v1(TaskParallelEnv(make_task(task, n_agents)))
     env = SuperSuitVecEnv(supersuit.concat_vec_envs_v1(vector, COPIES, num_cpus=0, base_class="gymnasium"))
@@ -83,7 +83,7 @@ def main(
     episodes: Annotated[int, typer.Option(min=1)] = EPISODES,
     out: Annotated[Path, typer.Option(help="folder for TASK.json")] = CONTROLS,
 ) -> None:
-    """Train the control on one task, measure it as the reference policies are, write its record."""
+    """Train the control on one task, measure it like the reference policies, and write its record."""
     started = time.monotonic()
     with one_thread():
         model = train(task, agents, frames, seed)

@@ -1,12 +1,12 @@
-"""The paper's weight of the attention-entropy term on the paper's own schedule: does the team still talk?
+"""The first iterations of the paper's own schedule with its weight of the attention-entropy term.
 
-Kailas et al. (ICML 2025, appendix) train with lambda 10, 50 and 50. Each run here is the first iterations of
-that schedule from scratch, with lambda or without, advantages normalised as the paper's table says or the
-other way round. Nothing decays in the schedule, so a short run is the beginning of the whole.
+Kailas et al. (ICML 2025, appendix) train with lambda 10, 50 and 50. Each run here trains the first iterations
+of that schedule from scratch, with and without lambda, with advantages normalised as in the paper's table and
+the other way round. Nothing decays in the schedule, so a short run is the beginning of the whole one.
 
-    python -m xmarl_baselines.paper_lambda navigation-n3-schedule-lambda10-seed0 --iterations 15
+    python -m xmarl_baselines.paper_lambda navigation-schedule-n3-lambda10-seed0 --iterations 15
 
-writes baselines/xmarl_baselines/controls/paper_lambda/NAME.json, which a table of baselines/README.md shows.
+writes baselines/xmarl_baselines/controls/paper_lambda/NAME.json, shown in baselines/README.md.
 `xmarl-train --reproduce NAME` trains the whole schedule.
 """
 
@@ -37,7 +37,7 @@ from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.rollout.evaluation import evaluate_policy
 
 RECORDS = CONTROLS / "paper_lambda"
-STATES = Sampling(episodes=20)  # whose every timestep is looked at in the end: the first that scoring plays
+STATES = Sampling(episodes=20)  # the first that scoring plays, every timestep, measured after training
 EPISODES, CHECKPOINT_EVERY = 100, 5  # of the evaluation; iterations
 Look = dict[str, float | None]
 
@@ -48,13 +48,15 @@ def own_share(attention: NDArray[np.floating]) -> float:
 
 
 def most_heard(attention: NDArray[np.floating]) -> float:
-    """(S, N, N) attention -> mean share of the team's attention that the agent gets who gets most of it:
-    1 / N where agents hear themselves or all alike, 1 where everybody hears the same one."""
+    """(S, N, N) attention -> mean share of the team's attention on the agent that gets most of it.
+
+    1 / N if agents hear themselves or all alike, 1 if everybody hears the same agent.
+    """
     return float(attention.mean(axis=-2).max(axis=-1).mean())
 
 
 class _Attention(BaseCallback):
-    """Looks at the attention on the states of each iteration, before they are learned from; prints a line."""
+    """Records and prints the attention on the states of each iteration, before the update on them."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
@@ -71,7 +73,7 @@ class _Attention(BaseCallback):
             attention = self.model.policy.actor.attention(seen).numpy()
         ended = [row["is_success"] for row in self.model.ep_info_buffer or []]
         look: Look = {
-            "frames": self.model.num_timesteps - len(seen),  # learned from so far
+            "frames": self.model.num_timesteps - len(seen),  # trained on so far
             "attention_entropy": float(attention_entropy(attention).mean()),
             "own_share": own_share(attention),
             "success_while_exploring": float(np.mean(ended)) if ended else None,
@@ -81,7 +83,7 @@ class _Attention(BaseCallback):
 
 
 def first_iterations(run: Run, iterations: int, folder: Path) -> tuple[GraphPolicy, list[Look]]:
-    """The policy after so many iterations of `run`, and what its attention was on the states of each.
+    """The policy after `iterations` of `run`, and its attention on the states of each iteration.
 
     `folder` gets SB3's checkpoints.
     """
@@ -96,8 +98,11 @@ def first_iterations(run: Run, iterations: int, folder: Path) -> tuple[GraphPoli
 
 @torch.inference_mode()
 def listening(policy: GraphPolicy, task: str, n_agents: int) -> dict[str, float]:
-    """On deterministic episodes: entropy (nats) and shares of attention, and how far the action moves, in
-    [-1, 1] units, when every message between agents is removed. Means of episodes' means, as in scoring."""
+    """Attention and communication dependence on deterministic episodes: means of means, as in scoring.
+
+    Attention: entropy (nats) and shares. Communication dependence: how far the action moves, in [-1, 1]
+    units, when all messages between agents are removed.
+    """
     rows = []
     for episode in roll_out(Cell(task, n_agents).make(), policy, STATES.seeds, max_cycles=STATES.max_cycles):
         seen = torch.tensor(episode.observations)
@@ -115,13 +120,13 @@ def _action(policy: GraphPolicy, seen: Tensor, mask: Tensor | None = None) -> ND
 
 
 def main(
-    name: Annotated[str, typer.Argument(help="e.g. navigation-n3-schedule-lambda10-seed0")],
+    name: Annotated[str, typer.Argument(help="e.g. navigation-schedule-n3-lambda10-seed0")],
     iterations: Annotated[int, typer.Option(min=1, help="of the paper's schedule")],
     episodes: Annotated[int, typer.Option(min=1, help="of the evaluation at the end")] = EPISODES,
     out: Annotated[Path, typer.Option(help="folder for NAME.json")] = RECORDS,
     runs: Annotated[Path, typer.Option(help="folder for checkpoints")] = Path("runs"),
 ) -> None:
-    """Train the first iterations of one of the paper's schedules and write what became of its attention."""
+    """Train the first iterations of one of the paper's schedules and record its attention."""
     run, started = run_named(name), time.process_time()
     recipe = run.recipe
     with one_thread():

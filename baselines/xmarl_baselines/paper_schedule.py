@@ -1,6 +1,6 @@
-"""The paper's own training tables (Kailas et al., ICML 2025, appendix), on the tasks' own rewards.
+"""The paper's training tables (Kailas et al., ICML 2025, appendix), on the tasks' own rewards.
 
-How many teams share the frames of an iteration it does not say.
+The paper does not say how many teams share the frames of an iteration: `n_envs` is our choice.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _PAPERS = Recipe(
     n_epochs=30,
     batch_size=800,
     learning_rate=3e-4,
-    final_learning_rate=1.0,  # no decay is mentioned
+    final_learning_rate=1.0,  # the paper mentions no decay
     gamma=0.99999,
     gae_lambda=0.9,
     normalize_advantage=False,
     attention_start=0.0,
-    attention_ramp=0.0,  # nor a warm-up of lambda
+    attention_ramp=0.0,  # and no warm-up of lambda
     variant="schedule",
 )
 
@@ -55,7 +55,7 @@ PAPER_LAMBDAS = {"blind_navigation_v0": 10.0, "blind_passage_v0": 50.0, "blind_d
 
 
 def schedule_runs() -> dict[str, Run]:
-    """Name -> run of the paper's schedule, N = 3: its lambda or none, advantages as in its table or not."""
+    """Name -> run of the paper's schedule, N = 3: its lambda or 0, advantages as in its table or not."""
     runs = []
     for task, paper in PAPER_SCHEDULE.items():
         other = "raw" if paper.normalize_advantage else "normalised"

@@ -1,6 +1,6 @@
 """The reference policies: every run that is trained for the benchmark, by name.
 
-`xmarl-train --reproduce NAME` trains one of them again, `--reproduce all` those that a folder of runs lacks.
+`xmarl-train --reproduce NAME` trains one of them, `--reproduce all` those missing in a folder of runs.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from xmarl_bench.policy.bundle import load_card
 
 SIZES = (3, 4, 5)
 SEEDS = (0, 1, 2)
-EPISODES = 200  # that policies are measured on: the first 50 are the ones that scoring plays
-# lambda of the attention-entropy term: what halves the entropy and leaves the team talking.
+EPISODES = 200  # to measure policies; scoring plays the first 50 of them
+# lambda of the attention-entropy term: chosen to halve the entropy while messages still help.
 LAMBDAS = {"blind_navigation_v0": 0.1, "blind_passage_v0": 0.03, "blind_discovery_v0": 0.03}
-# Times the recipe's frames: with more partners there is more to learn.
+# Factors on the recipe's frames: larger teams take longer to learn.
 LONGER = {("blind_navigation_v0", 4): 1.5, ("blind_navigation_v0", 5): 2.0}
 
 
@@ -43,9 +43,9 @@ def _recipe(task: str, family: Family, n_agents: int) -> Recipe:
 
 
 def run_named(name: str) -> Run:
-    """The run that made the shipped policy `name`, as its card records it, or the one to be made.
+    """The run of a reference policy: as recorded in the card if it is shipped, otherwise as planned here.
 
-    Raises InputError for a name that is neither.
+    Raises InputError if the name is unknown, or if the card records more than one run.
     """
     runs, shipped = reference_runs() | schedule_runs(), shipped_policies()
     if name in shipped:
@@ -54,7 +54,7 @@ def run_named(name: str) -> Run:
         run = Run(Recipe.from_dict(training["recipe"]), **{field: training[field] for field in fields})
         if run.name == name and run.start_from is None:
             return run
-        raise InputError(f"{name} cannot be made by one run: its card says what it was made of.")
+        raise InputError(f"{name} cannot be made by one run: `training` in its card says how to make it.")
     if name not in runs:
         raise InputError(f"no reference policy is called {name!r}: choose one of {', '.join(runs)}.")
     return runs[name]

@@ -1,9 +1,9 @@
-"""The policies' tables of both READMEs and docs/learning.png, written from cards and controls.
+"""Writes the policies' tables of both READMEs and docs/learning.png from cards and controls.
 
     python -m xmarl_baselines.report [--zero-shot]
 
-Nothing in the tables is typed. `--zero-shot` measures every navigation policy with more agents than it was
-trained with (minutes) into zero_shot.json; without it the file is used as it is.
+`--zero-shot` first measures every navigation policy with more agents than it was trained with (minutes) into
+zero_shot.json; without it the existing file is used.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ MEASURES = {
 
 
 def shown(measure: str, value: float | None) -> str:
-    """As it stands in a table."""
+    """A value as the tables show it."""
     return "-" if value is None else f"{value:.{0 if measure == 'makespan' else 2}f}"
 
 
@@ -59,7 +59,7 @@ def final(cards: list[PolicyCard]) -> list[PolicyCard]:
 
 
 def cell_rows(cards: list[PolicyCard]) -> list[Row]:
-    """One row per family, team size and with or without the term: best seed, median of the seeds, paper."""
+    """One row per task, family, team size, with or without the term: best seed, median of seeds, paper."""
     cells: defaultdict[tuple[str, str, int, bool], list[PolicyCard]] = defaultdict(list)
     for card in final(cards):
         cells[card.task, card.family or "", card.n_agents, card.attention_entropy > 0].append(card)
@@ -112,7 +112,7 @@ def control_rows() -> list[Row]:
 
 
 def lambda_rows() -> list[Row]:
-    """One row per run of the paper's schedule: what became of its attention, and of the team."""
+    """One row per run of the paper's schedule: its attention and what the team achieves."""
     rows: list[Row] = []
     records = [json.loads(path.read_text()) for path in RECORDS.glob("*.json")]
     for record in sorted(records, key=lambda r: (r["task"], -r["lambda"], r["name"])):
@@ -142,7 +142,7 @@ def lambda_rows() -> list[Row]:
 
 
 def measure_zero_shot() -> None:
-    """Every navigation policy with 1, 2 and 3 agents more than it knows, into ZERO_SHOT."""
+    """Measure every navigation policy with 1, 2 and 3 agents more than in training, into ZERO_SHOT."""
     chosen = [card for card in final(shipped_cards()) if card.task == "blind_navigation_v0"]
     pairs = [
         (load_policy(shipped_policies()[card.name])[0], Cell(card.task, card.n_agents + more))
@@ -183,7 +183,7 @@ def tables() -> dict[str, str]:
 
 
 def filled(text: str) -> str:
-    """A README with its tables as they are now."""
+    """A README with its tables brought up to date."""
     for name, table in tables().items():
         begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
         if begin not in text:
@@ -198,8 +198,8 @@ COLOURS = {3: "#0072b2", 4: "#d55e00", 5: "#009e73"}  # by team size
 
 
 def draw(path: Path) -> None:
-    """The validation episodes along training: a column per task, for each family a row per measure."""
-    import matplotlib  # of the `dev` extra
+    """Draw the validation episodes along training: a column per task, a row per family and measure."""
+    import matplotlib  # in the `dev` extra
 
     matplotlib.use("Agg")
     from matplotlib import pyplot

@@ -1,10 +1,9 @@
-"""Takes finished runs into the package: policies/NAME, and for the study over training policies/NAME-atPP.
+"""Copies finished runs into the package: policies/NAME, and for the study over training policies/NAME-atPP.
 
     python -m xmarl_baselines.ship RUNS
 
-Copies the bundle that `xmarl-train --reproduce` wrote for every reference run that is finished in the folder
-RUNS and is not in the package yet. Does not compare it with anything: the worst seed is shipped like the
-best.
+Copies the bundle of every reference run that `xmarl-train --reproduce` finished in the folder RUNS and that
+the package does not hold yet. Every seed is shipped, the worst like the best.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.untrusted import CARD
 from xmarl_bench.rollout.evaluation import evaluate_policy
 
-# Percent of training, at which every run validates. The appendix of Kailas et al. (ICML 2025) on training
-# iterations has 20, 50 and 80 in its table, 10, 50 and 90 in its text.
+# Percent of training. The appendix of Kailas et al. (ICML 2025) on training iterations has 20, 50 and 80 in
+# its table, 10, 50 and 90 in its text. Every run validates at all of them.
 ALONG_TRAINING = (10, 20, 50, 80, 90)
 
 
@@ -48,7 +47,7 @@ def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --o
 
 
 def _ship_along_training(run: Path, policy: GraphPolicy, fields: dict[str, Any]) -> None:
-    """The weights of the validations nearest to ALONG_TRAINING, measured, as policies of their own."""
+    """Save the weights of the validations nearest to ALONG_TRAINING as policies, each measured."""
     frames = fields["training"]["frames"]
     for percent in ALONG_TRAINING:
         curve = fields["training"]["curve"]

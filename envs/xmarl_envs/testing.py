@@ -1,7 +1,7 @@
 """Conformance tests for tasks, yours included.
 
-Call `check_task(MyTask)` in a test. It plays some thousand steps in a few seconds. It raises an AssertionError
-that names the first broken promise and how it was broken.
+Call `check_task(MyTask)` in a test. It plays some thousand steps in a few seconds, and raises an
+AssertionError that names the first broken promise and how it was broken.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class VectorEnv:
         task: the rules, e.g. `BlindNavigation(n_agents=3)`.
         n_episodes: B.
         max_cycles: steps until truncation; the task's own number by default.
-        copies_per_space: 1 (each episode has its own physics, repeats bit for bit) or more (faster: training).
+        copies_per_space: 1 (own physics for each episode, repeats bit for bit) or more (faster: training).
     """
 
     def __init__(

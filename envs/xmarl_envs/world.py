@@ -2,8 +2,8 @@
 
 With `copies_per_space` 1, which scoring uses, each episode has its own pymunk Space and repeats bit for bit.
 With more, which training uses, episodes share Spaces, and only those with contacts are in one: many times
-faster. Until its first contact an episode then has the same bits. Afterwards it agrees up to rounding, which a
-crowd amplifies, because there the order of contacts matters.
+faster. Until its first contact an episode then has the same bits. Afterwards it agrees up to rounding, which
+a crowd amplifies, because there the order of contacts matters.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Reference explainers, one per file. They register through the entry points that anyone else's use."""
+"""Reference explainers, one per file, registered through entry points like those of any other package."""

@@ -2,11 +2,10 @@
 
 Paper: Kailas, Jain and Ravichandar (ICML 2025), who ask when attention explains a team; for graphs,
 Velickovic et al. (ICLR 2018). Formula: mask[i, j] = alpha_ij, with alpha_i = softmax_j of the scores of
-receiver i, so every row sums to 1 and the mask's mass is 1 / N, whatever the policy.
+receiver i. Every row sums to 1, so the mask mass is 1 / N for every policy.
 
-Departures: heads and layers are reduced by their mean, so that a row sums to 1. PyG's AttentionExplainer
-takes the maximum, and rows of several heads exceed 1. With one head and one layer the two agree (a test holds
-them together).
+Departures: heads and layers are averaged, so that a row sums to 1. PyG's AttentionExplainer takes the
+maximum, so rows of several heads exceed 1. With one head and one layer the two agree (tested).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""How explainers walk through an episode: timesteps in chunks, and a random stream for every timestep.
+"""Explains an episode in chunks of timesteps, with a random stream for each timestep.
 
-Memory is bounded by the chunk. Chunks are a function of the episode's length and team size alone, because
-matrix products round by their batch size; what is drawn for a timestep depends on no other timestep.
+The chunk bounds the memory. Chunks depend only on the episode's length and the team size, because the
+rounding of matrix products depends on the batch size. Draws for a timestep do not depend on other timesteps.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator
 import torch
 from torch import Tensor
 
-AGENTS_AT_ONCE = 2048  # rows of the decoder, whose activations stay in the cache: 682 timesteps at N = 3
-EDGES_AT_ONCE = 2**16  # entries of the mask, what bounds large teams: 16 timesteps at N = 64
+AGENTS_AT_ONCE = 2048  # rows of the decoder: activations fit the processor's cache; 682 timesteps at N = 3
+EDGES_AT_ONCE = 2**16  # entries of the mask, the limit of large teams: 16 timesteps at N = 64
 
 
 def chunks(n_steps: int, n_agents: int, *, steps_at_once: int | None = None) -> Iterator[slice]:
-    """Stretches of timesteps, in order; at most `steps_at_once` long where that is given."""
+    """Consecutive slices of timesteps, at most `steps_at_once` long if given."""
     width = min(AGENTS_AT_ONCE // n_agents, EDGES_AT_ONCE // n_agents**2, steps_at_once or n_steps)
     width = max(1, width)
     for first in range(0, n_steps, width):
@@ -26,11 +26,11 @@ def chunks(n_steps: int, n_agents: int, *, steps_at_once: int | None = None) -> 
 def by_chunks(
     observations: Tensor, explain: Callable[[slice], Tensor], *, steps_at_once: int | None = None
 ) -> Tensor:
-    """(S, N, D) -> (S, N, N): `explain`, asked for the masks of one stretch of timesteps after another."""
+    """(S, N, D) -> (S, N, N): calls `explain` for the masks of one slice of timesteps after another."""
     n_steps, n_agents, _ = observations.shape
     return torch.cat([explain(steps) for steps in chunks(n_steps, n_agents, steps_at_once=steps_at_once)])
 
 
 def timestep_seeds(n_steps: int, generator: torch.Generator) -> list[int]:
-    """One seed per timestep, those that `xmarl_bench.PygExplain` gives PyG from the same generator."""
+    """One seed per timestep, the same as `xmarl_bench.PygExplain` draws from this generator."""
     return [int(seed) for seed in torch.randint(2**62, (n_steps,), generator=generator)]

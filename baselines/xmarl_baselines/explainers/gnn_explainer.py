@@ -1,4 +1,4 @@
-"""GNNExplainer as torch_geometric 2.8.1 has it, with its defaults, for many timesteps at once.
+"""GNNExplainer of torch_geometric 2.8.1 with its defaults, for many timesteps at once.
 
 Paper: Ying et al., "GNNExplainer: Generating Explanations for Graph Neural Networks" (NeurIPS 2019).
 Formula, for one timestep: m = sigmoid(w) with a logit per edge, at first w ~ Normal(0, 2 / N), and 100 steps
@@ -7,16 +7,16 @@ of Adam on
     mean over agents and action entries of (F(1) - F(m))^2
         + edge_size * sum over edges in H of m + edge_ent * mean over edges in H of the entropy of m,
 
-where H holds the edges whose first gradient was not zero; before that step there is no second line, and
-outside H the mask ends as 0.
+where H holds the edges whose first gradient is not zero. The first step is without the second line, and the
+mask is 0 outside H.
 
-Departures: none from PyG. Its loop is restated with an objective and a random stream per timestep, none of
-which sees another's, and the policy's mask-independent part computed once: on the same random numbers the
-masks equal PyG's own, one graph at a time, to 1e-5 (a test runs both on trained policies). A block-diagonal
-batch through PyG's class is not the same: there one objective averages over all timesteps.
+Departures: none from PyG. Its loop is restated with an independent objective and random stream for each
+timestep, and computes the mask-independent part of the policy once. On the same random numbers the masks
+equal PyG's own, one graph at a time, to 1e-5 (tested on trained policies). A block-diagonal batch through
+PyG's class gives other masks: there one objective averages over all timesteps.
 
-With these defaults the result is mostly its random start: measured correlation 0.72-0.86 with it, and 0.09
-between seeds. `gnn_explainer-tuned` is the same method with other settings.
+With these defaults the random start dominates the result: their correlation is 0.72-0.86, and 0.09 between
+seeds. `gnn_explainer-tuned` is the same method with other settings.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def optimise_mask(
 ) -> Tensor:
     """One chunk: (S, N, D) observations, (S, N, N) first logits -> masks (S, N, N).
 
-    `policy` is not touched, but its parameters should not require gradients: they would be computed.
+    Leaves `policy` unchanged. Its parameters should not require gradients, which would be computed in vain.
     """
     with torch.no_grad():
         prepared = policy.prepare(observations)

@@ -1,16 +1,17 @@
-"""Gradient: how fast the action moves when one message is turned down.
+"""Gradient: how fast the action moves when one message is scaled down.
 
-Paper: Simonyan et al., "Deep Inside Convolutional Networks" (ICLR workshop 2014), for inputs; here, as in
-PyG's and Captum's edge masks, for the factor on each message. Formula:
+Paper: Simonyan et al., "Deep Inside Convolutional Networks" (ICLR workshop 2014), for inputs. Here it is
+taken with respect to the factor on each message, as in PyG's and Captum's edge masks. Formula:
 
     a_ij = d e_i(m) / d m_ij  at m = 1,
 
-e_i the effect of xmarl_bench.explain.effect: how far agent i's action has moved along what all messages do
-to it.
-In a policy of several layers the sum of e over all agents is differentiated.
+with the effect e_i of xmarl_bench.explain.effect: how far agent i's action has moved in the direction in
+which all messages together move it. In a policy of several layers the sum of e over all agents is
+differentiated.
 
-Departures: signed, where saliency takes absolute values; the mask is 0.5 + a / (2 max |a|) over the row, so
-it keeps order and sign. Since the factor is 1, this is gradient times input too."""
+Departures: signed, where saliency takes absolute values. The mask is 0.5 + a / (2 max |a|) over the row,
+which keeps order and sign. Since the factor is 1, this is also gradient times input.
+"""
 
 from __future__ import annotations
 

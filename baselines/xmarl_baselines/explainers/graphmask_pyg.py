@@ -1,26 +1,26 @@
-"""GraphMask as torch_geometric 2.8.1 has it, bugs and all, for comparability with what others ran.
+"""GraphMask of torch_geometric 2.8.1 with its bugs, to compare with results that others got from it.
 
 Paper: Schlichtkrull, De Cao and Titov, "Interpreting Graph Neural Networks for NLP With Differentiable Edge
 Masking" (ICLR 2021): hard-concrete gates on unmodified messages, a learned baseline in place of a dropped
 message, and the fewest messages under a constraint on the change of the prediction, by a Lagrangian.
-`graphmask` is that, per timestep.
+`graphmask` implements that, per timestep.
 
-What PyG's code does instead on a policy of this benchmark (verified on 2.8.1, restated here, not corrected):
+PyG's code does this instead on a policy of this benchmark (verified on 2.8.1; restated here, not corrected):
 
 - the explained layer's messages become relu(layer_norm(message)), so it explains another network, and at the
-  end the gates see messages that were already gated;
-- an untrained feature mask scales the observations although no feature mask was asked for;
-- the multiplier lambda is made anew in every epoch, so the constraint never tightens;
-- where the layer's input and output sizes differ (navigation: 6 -> 32), the gates are made anew after the
-  optimiser was given the old ones: nothing is trained;
-- the hard threshold is the midpoint of the smallest and largest gate, so "all gates open" comes out as all
-  zeros, and masks are 0 or 1;
+  end the gates get messages that are already gated;
+- an untrained feature mask scales the observations although no feature mask was requested;
+- every epoch creates lambda again, so the constraint never tightens;
+- if the layer's input and output sizes differ (navigation: 6 -> 32), the gates are created again after the
+  optimiser got the old ones: nothing is trained;
+- the hard threshold is the midpoint of the smallest and largest gate, so "all gates open" gives all zeros,
+  and masks are 0 or 1;
 - the learned baselines are scalars.
 
-Departures: none from PyG. Its loop is restated with parameters, an objective and a random stream per
-timestep. On the same random numbers masks equal PyG's own, one graph at a time, in float64 (a test runs
-both). In float32 a gate near the threshold may fall to the other side. For policies other than a
-`GraphPolicy` PyG's class itself runs, one graph at a time.
+Departures: none from PyG. Its loop is restated with parameters, an objective and a random stream for each
+timestep. On the same random numbers masks equal PyG's own, one graph at a time, in float64 (tested). In
+float32 a gate near the threshold may fall to the other side. Policies other than a `GraphPolicy` run through
+PyG's class itself, one graph at a time.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy, Policy
 
-BETA, GAMMA, ZETA, LOCATION = 1 / 3, -0.2, 1.2, 2  # hard concrete, not arguments in PyG
-STEPS_AT_ONCE = 128  # a timestep has up to 17,000 parameters of its own, and Adam three more copies
+BETA, GAMMA, ZETA, LOCATION = 1 / 3, -0.2, 1.2, 2  # hard concrete; fixed in PyG
+STEPS_AT_ONCE = 128  # a timestep has up to 17,000 parameters, of which Adam keeps three more copies
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class GraphMaskPygSettings:
     epochs: int = 100
     lr: float = 0.01
     penalty_scaling: int = 5
-    lambda_optimizer_lr: float = 0.01  # without effect: every lambda lives for one step
+    lambda_optimizer_lr: float = 0.01  # no effect: every lambda lives for one step
     init_lambda: float = 0.55
     allowance: float = 0.03
 
@@ -71,15 +71,15 @@ class Gates(NamedTuple):
     bias: Tensor  # (S,)
     weight: Tensor  # (S, W), of the output layer
     offset: Tensor  # (S,)
-    baseline: Tensor  # (S,), float32 as in PyG whatever the default
+    baseline: Tensor  # (S,), always float32 as in PyG
 
     def parameters(self) -> list[Tensor]:
-        """Every tensor that is trained."""
+        """All trained tensors."""
         singles = [self.bias, self.weight, self.offset, self.baseline]
         return [*self.transforms, *self.scales, *self.shifts, *singles]
 
     def logits(self, layer: LayerState) -> Tensor:
-        """(S, N, N): one per edge."""
+        """(S, N, N): one logit per edge."""
         n_steps, n_agents, width = layer.sender.shape
         of_sender, of_message, of_receiver = (
             F.layer_norm(x.flatten(1, -2) @ transform.mT, (width,)) * scale[:, None] + shift[:, None]
@@ -93,7 +93,7 @@ class Gates(NamedTuple):
 
 
 class LayerState(NamedTuple):
-    """What PyG's hook keeps of a pass through the layer: the inputs of the gates."""
+    """The inputs of the gates, which PyG's hook keeps from a pass through the layer."""
 
     sender: Tensor  # (S, N, W): W_l x_j
     message: Tensor  # (S, N, N, W) on j -> i
@@ -101,7 +101,7 @@ class LayerState(NamedTuple):
 
 
 class Start(NamedTuple):
-    """All that is drawn for one timestep, in PyG's order."""
+    """The random draws for one timestep, in PyG's order."""
 
     feature_mask: Tensor  # (1, D) logits
     gates: Gates  # without the axis of timesteps
@@ -109,11 +109,11 @@ class Start(NamedTuple):
 
 
 def draw(policy: GraphPolicy, n_agents: int, epochs: int, seed: int) -> Start:
-    """What PyG draws after `torch.manual_seed(seed)`, in the same order and shapes."""
+    """The same draws as PyG after `torch.manual_seed(seed)`, in the same order and shapes."""
     generator = torch.Generator().manual_seed(seed)
     n_in, width = policy.gat.in_channels, policy.gat.out_channels
     feature_mask, gates = _draw_masks(policy.architecture.obs_dim, n_in, width, generator)
-    if n_in != width:  # PyG's gates do not fit their inputs: it makes new ones, that do
+    if n_in != width:  # PyG's gates do not fit their inputs, so it creates new ones
         feature_mask, gates = _draw_masks(policy.architecture.obs_dim, width, width, generator)
     noise = [
         torch.empty(n_agents**2, 1).uniform_(1e-6, 1.0 - 1e-6, generator=generator) for _ in range(epochs)
@@ -125,7 +125,7 @@ def _draw_masks(obs_dim: int, n_in: int, width: int, generator: torch.Generator)
     feature_mask = torch.randn(1, obs_dim, generator=generator) * 0.1
     input_dims = (n_in, width, n_in)
     transforms = [torch.empty(width, dim) for dim in input_dims]
-    for transform in transforms:  # torch.nn.Linear's own initialisation, then overwritten
+    for transform in transforms:  # torch.nn.Linear's initialisation, then overwritten
         nn.init.kaiming_uniform_(transform, a=math.sqrt(5), generator=generator)
     bound = math.sqrt(3.0) * math.sqrt(2.0 / float(sum(input_dims) + width))
     for transform in transforms:
@@ -143,7 +143,7 @@ def _draw_masks(obs_dim: int, n_in: int, width: int, generator: torch.Generator)
 def gate_masks(
     policy: GraphPolicy, observations: Tensor, starts: list[Start], settings: GraphMaskPygSettings
 ) -> Tensor:
-    """One chunk: (S, N, D) observations and what was drawn for each timestep -> masks (S, N, N)."""
+    """One chunk: (S, N, D) observations and the draws for each timestep -> masks (S, N, N)."""
     with torch.no_grad():
         target = policy.distribution(observations).action
         feature_mask = torch.stack([start.feature_mask for start in starts]).sigmoid()
@@ -154,7 +154,7 @@ def gate_masks(
     noise = torch.stack([start.noise for start in starts], dim=1)
     trained = policy.gat.in_channels == policy.gat.out_channels
     if not trained:
-        noise = noise[-1:]  # nothing changes from epoch to epoch, and the last one leaves its messages
+        noise = noise[-1:]  # epochs change nothing; only the last one's messages count
     multiplier = F.softplus(torch.tensor(settings.init_lambda))
     optimizer = torch.optim.Adam(gates.parameters(), lr=settings.lr)
     gated = scaled.message
@@ -183,7 +183,7 @@ def gate_masks(
 
 
 def layer_state(policy: GraphPolicy, observations: Tensor) -> LayerState:
-    """(S, N, D) -> what reaches the gates, messages turned into relu(layer_norm(message))."""
+    """(S, N, D) -> the inputs of the gates, with relu(layer_norm(message)) as messages."""
     x = policy.encoder(observations)
     sender, receiver = policy.gat.lin_l(x), policy.gat.lin_r(x)
     message = policy.prepare(observations).attention[..., None] * sender[:, None]
@@ -199,7 +199,7 @@ def _hard(s: Tensor) -> Tensor:
 
 
 def _stack(gates: list[Gates]) -> Gates:
-    """Parameters of single timesteps -> with an axis of timesteps."""
+    """Stack the parameters of single timesteps along a new first axis."""
     fields: list[Tensor | list[Tensor]] = []
     for values in zip(*gates, strict=True):
         if isinstance(values[0], list):
@@ -218,7 +218,7 @@ def graphmask_pyg_mask(policy: Policy, observations: Tensor, generator: torch.Ge
         return PygExplain(lambda: pyg_algorithm(len(layers), SETTINGS))(policy, observations, generator)
     except TypeError as error:
         raise InputError(
-            f"PyG's GraphMask needs layers that hand x to their messages, got {', '.join(layers)} ({error}): "
+            f"PyG's GraphMask needs layers that pass x to their messages, got {', '.join(layers)} ({error}): "
             f"choose another explainer."
         ) from error
 
@@ -235,11 +235,11 @@ def batched(
         return gate_masks(private, observations[steps], starts, settings)
 
     masks = by_chunks(observations, explain, steps_at_once=STEPS_AT_ONCE)
-    return masks.round()  # the straight-through sum may be one rounding off 1
+    return masks.round()  # the straight-through sum may differ from 1 by rounding
 
 
 def pyg_algorithm(n_layers: int, settings: GraphMaskPygSettings) -> GraphMaskExplainer:
-    """PyG's own class."""
+    """PyG's GraphMaskExplainer with these settings."""
     return GraphMaskExplainer(num_layers=n_layers, log=False, **asdict(settings))
 
 

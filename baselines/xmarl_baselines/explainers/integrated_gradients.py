@@ -4,11 +4,11 @@ Paper: Sundararajan, Taly and Yan, "Axiomatic Attribution for Deep Networks" (IC
 
     a_ij = integral over t in [0, 1] of  d e_i(m) / d m_ij  at m = t,
 
-e_i the effect of xmarl_bench.explain.effect, by the midpoint rule. A row sums to e_i(1) = d_i(0), what
-removing all messages changes, up to the rule's error (completeness; a test holds it). In a policy of several
+by the midpoint rule, with the effect e_i of xmarl_bench.explain.effect. A row sums to e_i(1) = d_i(0), the
+change caused by removing all messages, up to the rule's error (completeness, tested). In a policy of several
 layers the sum of e over all agents is integrated, and all rows together sum to its value.
 
-Departures: the mask is 0.5 + a / (2 max |a|) over the row, so it keeps order and sign.
+Departures: the mask is 0.5 + a / (2 max |a|) over the row, which keeps order and sign.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ POINTS = 32
 
 
 def midpoints(n: int) -> list[float]:
-    """The middles of n equal stretches of [0, 1]."""
+    """The midpoints of n equal intervals of [0, 1]."""
     return [(k + 0.5) / n for k in range(n)]
 
 

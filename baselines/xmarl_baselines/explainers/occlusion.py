@@ -4,8 +4,9 @@ Paper: Zeiler and Fergus, "Visualizing and Understanding Convolutional Networks"
 patches. Formula: a_ij = d_i(1 without j -> i), the mean over action entries of |F_i(1) - F_i(m)| where m
 keeps everything but that message. In a policy of several layers, the sum of d over all agents.
 
-Departures: messages instead of patches; the mask is a / max a over the row. Redundant messages all come out
-as 0, for each alone changes nothing."""
+Departures: messages instead of patches; the mask is a / max a over the row. Redundant messages all get 0,
+because leaving out one of them changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +23,13 @@ from xmarl_bench.policy import Policy
 
 
 def changes_without(policy: Policy, observations: Tensor) -> Tensor:
-    """One chunk: (S, N, D) -> (S, N, N), the change of action without the message on each edge."""
+    """One chunk: (S, N, D) -> (S, N, N), the change of the action without the message on each edge."""
     n_steps, n_agents, _ = observations.shape
     prepared = policy.prepare(observations)
     full = policy.decode(prepared).action
     change = observations.new_empty(n_steps, n_agents, n_agents)
     for j in range(n_agents):
-        if policy.row_wise:  # all receivers at once, for none sees what another hears
+        if policy.row_wise:  # all receivers at once: none depends on another's row
             change[:, :, j] = _change(policy, prepared, full, (slice(None), j))
         else:
             for i in range(n_agents):

@@ -1,4 +1,4 @@
-"""Shapley values of messages: each one's share of what all messages do to the action.
+"""Shapley values of messages: each message's share of the change that all messages cause in the action.
 
 Paper: Shapley (1953); for explanations Lundberg and Lee, "A Unified Approach to Interpreting Model
 Predictions" (NeurIPS 2017); sampling after Castro et al. (2009). The game of agent i has the senders j as
@@ -11,11 +11,11 @@ with d_i the mean absolute change of the action, as in the fidelities. A row sum
 (efficiency). FidDelta, d_i(rest) - d_i(K), is a game with twice these values: this one plus its dual.
 
 Exact where the oracle's table of all 2^N rows exists (one message-passing layer, N <= 10). Otherwise 32
-random orders per timestep and receiver, every second the reverse of the one before, which cancels much of
-the noise; efficiency stays exact. In a policy of several layers all N^2 edges are the players of one game,
-with the sum of v over agents; for a single layer that has the same values, row by row.
+random orders per timestep and receiver. Every second order is the reverse of the one before, which cancels
+much of the noise; efficiency stays exact. In a policy of several layers all N^2 edges are the players of one
+game, with the sum of v over agents; for a single layer that gives the same values, row by row.
 
-Departures: the mask is 0.5 + a / (2 max |a|) over the row, so it keeps order and sign.
+Departures: the mask is 0.5 + a / (2 max |a|) over the row, which keeps order and sign.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def exact_values(change: NDArray[np.float64]) -> NDArray[np.float64]:
 def sampled_values(policy: Policy, observations: Tensor, seeds: list[int], pairs: int) -> Tensor:
     """One chunk: (S, N, D), a seed per timestep -> (S, N, N), the mean over 2 * pairs orders."""
     n_steps, n_agents, _ = observations.shape
-    # Games side by side, and players of each: rows of the mask, or the whole mask.
+    # One game per row of the mask, or one over the whole mask.
     games, players = (n_agents, n_agents) if policy.row_wise else (1, n_agents**2)
     prepared = policy.prepare(observations)
     full = policy.decode(prepared).action

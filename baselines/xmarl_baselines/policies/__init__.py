@@ -1,4 +1,4 @@
-"""The reference policies shipped with the benchmark: one folder each, as `xmarl-train` wrote it."""
+"""The reference policies shipped with the benchmark: one bundle of `xmarl-train` per folder."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ HERE = Path(__file__).parent
 
 
 def shipped_policies() -> dict[str, Path]:
-    """Names and bundle folders, as the entry-point group `xmarl_bench.policies` asks for."""
+    """Names and bundle folders, as the entry-point group `xmarl_bench.policies` requires."""
     return {card.parent.name: card.parent for card in sorted(HERE.glob("*/policy.json"))}

@@ -35,7 +35,7 @@ from xmarl_bench.rollout.evaluation import Performance, evaluate_policy
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
-# Options of a run of one's own, and of many runs.
+# Options of a run with --task, and of --reproduce all.
 OF_A_RUN = (
     "family",
     "agents",
@@ -76,24 +76,24 @@ def command(
     ] = 0.0,
     attention_start: Annotated[
         float | None,
-        typer.Option(min=0, max=1, help="share of training before that term sets in; the recipe's"),
+        typer.Option(min=0, max=1, help="share of training before that term starts; default: the recipe's"),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="training seed")] = 0,
     caution: Annotated[
-        float, typer.Option(min=0, help="multiplies the penalties of touching and of being near")
+        float, typer.Option(min=0, help="multiplies the penalties for touching and for being near")
     ] = 1.0,
-    frames: Annotated[int | None, typer.Option(min=1, help="team-steps; the recipe's")] = None,
-    out: Annotated[Path, typer.Option(help="folder for runs; this one gets its own in it")] = Path("runs"),
+    frames: Annotated[int | None, typer.Option(min=1, help="team-steps; default: the recipe's")] = None,
+    out: Annotated[Path, typer.Option(help="folder in which each run gets its own folder")] = Path("runs"),
     start_from: Annotated[
-        Path | None, typer.Option(help="folder of a finished run to fine-tune, e.g. with a lambda it had not")
+        Path | None, typer.Option(help="folder of a finished run to fine-tune, e.g. with another lambda")
     ] = None,
-    resume: Annotated[bool, typer.Option(help="go on with an interrupted run")] = False,
+    resume: Annotated[bool, typer.Option(help="continue an interrupted run")] = False,
     episodes: Annotated[int, typer.Option(min=1, help="episodes of the evaluation at the end")] = EPISODES,
 ) -> None:
     """Train one graph-attention policy and write it as a bundle that `xmarl-bench score --policy` takes."""
     if (task is None) == (reproduce is None):
         raise InputError(
-            "give either --task, to train a policy of your own, or --reproduce, a name or `all`."
+            "give either --task, to train a policy of your own, or --reproduce NAME, or --reproduce all."
         )
     if reproduce is not None:
         _refuse(context, OF_A_RUN, "trains a policy as it was; to change something, train one with --task")
@@ -106,7 +106,7 @@ def command(
         _train(run, out, resume=resume, start_from=None, episodes=EPISODES)
         return
     assert task is not None
-    Cell(task, agents)  # refuses a team that the task does not take
+    Cell(task, agents)  # raises if the task does not take a team of this size
     recipe = recipe_for(task, family=family)
     if start_from is not None:
         _check_start(start_from, task, agents, family)
@@ -121,7 +121,7 @@ def command(
 
 
 def _refuse(context: typer.Context, options: tuple[str, ...], why: str) -> None:
-    """Raises InputError where one of the options was given."""
+    """Raises InputError if one of the options was given."""
     for option in options:
         source = context.get_parameter_source(option)
         if source is not None and source.name != "DEFAULT":
@@ -135,16 +135,16 @@ def _train(run: Run, out: Path, *, resume: bool, start_from: Path | None, episod
     try:
         card = train_and_save(run, folder, resume=resume, start_from=start_from, episodes=episodes)
     except KeyboardInterrupt:
-        print("xmarl-train: stopped; the same command with --resume goes on.", file=sys.stderr)
+        print("xmarl-train: stopped. Run the same command with --resume to continue.", file=sys.stderr)
         raise typer.Exit(130) from None
     print_rows(performance_rows([card], [Performance(**card.performance)]))
     print(f"policy in {folder / 'policy'}: xmarl-bench score --policy {folder / 'policy'}")
 
 
 def train_missing(out: Path, workers: Workers) -> int:
-    """Train the reference policies that `out` has no finished run of, each in a process; returns exit code.
+    """Train the reference policies that are not finished in `out`, each in a process; returns the exit code.
 
-    Runs begun earlier are resumed. One that fails does not stop the others; its output is in `out`/NAME.log.
+    Runs begun earlier are resumed. A failed run does not stop the others; its output is in `out`/NAME.log.
     Workers on other machines need `out` on a file system that all share.
     """
     missing = [name for name in reference_runs() if not (out / name / "policy" / CARD).exists()]
@@ -162,7 +162,7 @@ def train_missing(out: Path, workers: Workers) -> int:
 
 
 def _check_start(folder: Path, task: str, agents: int, family: Family) -> None:
-    """Raises InputError where `folder` is not a run of the same task, team size and family."""
+    """Raises InputError if `folder` is not a run of the same task, team size and family."""
     try:
         settings = json.loads((folder / "settings.json").read_text())
         recipe = settings["recipe"]
@@ -174,15 +174,15 @@ def _check_start(folder: Path, task: str, agents: int, family: Family) -> None:
     if trained != (task, agents, family):
         raise InputError(
             f"{folder} is a run of {trained[0]} with {trained[1]} agents and a {trained[2]} network, not of "
-            f"{task} with {agents} and a {family} one: start from a run of the same."
+            f"{task} with {agents} and a {family} one: start from a run of the same task, team and family."
         )
 
 
 def train_and_save(
     run: Run, folder: Path, *, resume: bool, start_from: Path | None, episodes: int
 ) -> PolicyCard:
-    """Train, measure on `episodes` deterministic episodes, write RUN/policy; returns its card."""
-    # Two runs side by side on one thread each beat one run on two.
+    """Train, measure on `episodes` deterministic episodes, and write RUN/policy; returns its card."""
+    # Two runs side by side on one thread each are faster than one after the other on two.
     with one_thread(), _progress(run) as report:
         trained = train(run, folder, resume=resume, start_from=start_from, report=report)
     return save_policy(
@@ -208,7 +208,7 @@ def train_and_save(
 
 
 def _command(run: Run) -> str:
-    """What trains this policy again."""
+    """The command that trains this policy again."""
     if (reference_runs() | schedule_runs()).get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"
     usual, start = recipe_for(run.recipe.task), run.recipe.attention_start
@@ -225,7 +225,7 @@ def _command(run: Run) -> str:
 
 @contextmanager
 def _progress(run: Run) -> Iterator[Report]:
-    """A bar on a terminal; in a log file, a line a minute."""
+    """Shows a progress bar on a terminal, or writes a line a minute to a log file."""
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[seen]}"),
@@ -249,7 +249,7 @@ def _progress(run: Run) -> Iterator[Report]:
 
 
 def main() -> None:
-    """Console entry point: bad input is one sentence and exit code 2; an interrupted run can be resumed."""
+    """Console entry point. Invalid input ends it with one sentence and exit code 2."""
     try:
         app()
     except InputError as error:

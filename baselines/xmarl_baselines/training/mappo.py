@@ -3,8 +3,8 @@
 Papers: Yu et al. 2022, "The Surprising Effectiveness of PPO in Cooperative Multi-Agent Games" (centralised
 critic, parameter sharing); Kailas et al. (ICML 2025), equation 1 (the attention-entropy term).
 
-Departures from SB3's PPO, all in `train`: ratios and advantages per agent, the value loss is smooth L1, the
-gradients of actor and critic are clipped apart (as TorchRL does: one's scale must not throttle the other),
+Departures from SB3's PPO, all in `train`: ratios and advantages are per agent, the value loss is smooth L1,
+gradients of actor and critic are clipped separately (as in TorchRL, so that neither scales the other down),
 advantages are normalised over the rollout, and lambda * H(alpha) is added to the loss. `learn`,
 `collect_rollouts`, `save`, `load`, the logger and callbacks are SB3's.
 """
@@ -28,14 +28,14 @@ from xmarl_baselines.training.schedules import ramp
 from xmarl_baselines.training.team_buffer import TeamRolloutBuffer, TeamSamples
 from xmarl_baselines.training.team_policy import TeamPolicy
 
-AGENTS_AT_ONCE = 3072  # rows of a part of a minibatch: the fastest of 384 to 16384 on one core
+AGENTS_AT_ONCE = 3072  # rows per part of a minibatch: the fastest of 384 to 16384 on one core
 
 
 class _TruncationBootstrap(BaseCallback):
     """Adds gamma * V(last observation) to the rewards of truncated teams.
 
-    SB3 does this in `collect_rollouts` for one reward per environment (when `terminal_observation` is given);
-    with rewards per agent that line raises, so the environment gives `truncated_observation` instead.
+    SB3 does this in `collect_rollouts` for one reward per environment (if `terminal_observation` is given).
+    That line raises for rewards per agent, so the environment gives `truncated_observation` instead.
     """
 
     def _on_step(self) -> bool:
@@ -51,10 +51,10 @@ class _TruncationBootstrap(BaseCallback):
 
 
 class MAPPO(PPO):
-    """Multi-agent PPO for `TeamVecEnv`.
+    """Multi-agent PPO on a `TeamVecEnv`.
 
     Args beyond SB3's PPO:
-        attention_entropy: lambda, the weight of the mean attention entropy (nats) in the loss; 0 is none.
+        attention_entropy: lambda, the weight of the mean attention entropy (nats) in the loss.
         attention_ramp: fraction of training over which lambda grows linearly from 0.
         attention_start: fraction of training before which lambda is 0.
     """
@@ -78,7 +78,7 @@ class MAPPO(PPO):
         super().__init__(*args, **kwargs)
 
     def attention_weight(self) -> float:
-        """lambda at this moment of training."""
+        """lambda at the present moment of training."""
         done = 1.0 - self._current_progress_remaining
         return self.attention_entropy * ramp(done, self.attention_start, self.attention_ramp)
 
@@ -104,7 +104,7 @@ class MAPPO(PPO):
                 self.logger.record(f"rollout/{key}", float(np.mean(rows)))
 
     def _update(self, samples: TeamSamples) -> dict[str, float]:
-        """One gradient step on a minibatch; what it measured, by name.
+        """One gradient step on a minibatch; returns its losses and statistics by name.
 
         Gradients are summed over parts of the minibatch whose activations stay in the processor's cache.
         """
@@ -158,7 +158,7 @@ class MAPPO(PPO):
 
     def _update_info_buffer(self, infos: list[dict[str, Any]], dones: Any = None) -> None:
         for info in infos:
-            if "episode" in info:  # so that SB3's logger sees them together
+            if "episode" in info:  # so that SB3's logger gets them together
                 info["episode"].update(
                     is_success=info["is_success"], no_agent_collision=info["no_agent_collision"]
                 )

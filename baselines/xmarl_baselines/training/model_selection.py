@@ -1,7 +1,7 @@
 """Keeps the best policy of a run, by deterministic episodes that neither training nor scoring plays.
 
-The deterministic policy is not what PPO improves, and it does not improve steadily: agents that part by
-chance while exploring can wait for each other for ever without it. Every policy looked at is kept, so that
+PPO improves the stochastic policy; the deterministic one does not improve steadily. Agents that separate by
+chance while exploring may wait for each other for ever without noise. Every validated policy is kept, so that
 explanations can be studied along training (Kailas et al., ICML 2025, appendix on training iterations).
 """
 
@@ -25,29 +25,29 @@ from xmarl_bench.records.files import write_atomically, write_json
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import play
 
-VALIDATION = Sampling(episodes=100, seed=1_000)  # scoring plays seed 0 unless told otherwise
+VALIDATION = Sampling(episodes=100, seed=1_000)  # scoring plays seed 0 by default
 MEASURES = ("success_rate", "no_agent_collision", "no_object_collision", "makespan")
 Record = dict[str, Any]  # frames, and the measures at that frame
 
 
 def plain_actor(model: MAPPO) -> GraphPolicy:
-    """A copy of the actor in evaluation mode: what is saved and scored."""
+    """A copy of the actor in evaluation mode, to be saved and scored."""
     actor = GraphPolicy(model.policy.actor.architecture)
     actor.load_state_dict(model.policy.actor.state_dict())
     return actor.eval()
 
 
 def weights_at(run: Path, record: Record) -> Path:
-    """Where a run's folder holds the weights of that look."""
+    """The file in a run's folder that holds the weights of a validation."""
     return run / "validated" / f"{record['frames']:010d}.safetensors"
 
 
 class ModelSelection(BaseCallback):
-    """Plays the validation episodes at multiples of `every` frames, and keeps weights and figures.
+    """Plays the validation episodes at multiples of `every` frames, and keeps weights and results.
 
-    `folder` holds curve.json, one record per look, and validated/FRAMES.safetensors; both outlive an
-    interruption. `best` does not choose among policies from before frame `after` (the attention-entropy term
-    was not whole yet) if there are later ones.
+    `folder` holds curve.json, one record per validation, and validated/FRAMES.safetensors; both survive an
+    interruption. `best` ignores policies from before frame `after`, when the attention-entropy term had not
+    reached its full weight, if there are later ones.
     """
 
     def __init__(
@@ -69,19 +69,19 @@ class ModelSelection(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        # Multiples, so that a resumed run validates at the same moments as a whole one.
+        # Multiples, so that a resumed run validates at the same frames as an uninterrupted one.
         if self.num_timesteps // self._every > self._last // self._every:
             self._last = self.num_timesteps
             self.validate()
 
     def validate(self) -> None:
-        """Measure the present policy and keep it."""
+        """Measure the current policy and keep it."""
         assert isinstance(self.model, MAPPO)
         policy = plain_actor(self.model)
 
         @torch.inference_mode()
         def act(observation: NDArray[np.float32], _: Sequence[int]) -> NDArray[np.float32]:
-            # One batch, unlike scoring: nothing depends on the last bits here.
+            # One batch, unlike scoring: the last bits do not matter here.
             action: NDArray[np.float32] = policy.distribution(torch.from_numpy(observation)).action.numpy()
             return action
 
@@ -112,7 +112,7 @@ class ModelSelection(BaseCallback):
         return records
 
     def best(self) -> tuple[GraphPolicy, Record]:
-        """The best policy kept, and its record."""
+        """The best validated policy and its record."""
         curve = self.curve()
         late = [record for record in curve if record["frames"] >= self._after] or curve[-1:]
         record = max(late, key=lambda row: selection_key(self._cell.task, row))

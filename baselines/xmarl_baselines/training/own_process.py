@@ -1,4 +1,4 @@
-"""A training in a process of its own. A worker only waits for it: nothing here makes it import torch."""
+"""Runs a training in a new process. The worker only waits for it, so this file does not import torch."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def train_in_own_process(unit: tuple[str, Path]) -> int:
-    """`xmarl-train --reproduce NAME --out OUT --resume`, which a checkpoint outlives; its exit code."""
+    """Run `xmarl-train --reproduce NAME --out OUT --resume`; returns its exit code."""
     name, out = unit
     program = [sys.executable, "-m", "xmarl_baselines.training.command"]
     with (out / f"{name}.log").open("a") as log:

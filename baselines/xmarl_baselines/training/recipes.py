@@ -1,4 +1,4 @@
-"""How the reference policies are trained: one recipe per task, every option stated once."""
+"""How the reference policies are trained: one recipe per task."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Recipe:
     attention_ramp: float = 0.2  # ... whose weight then grows from 0 over this fraction
     shaping: Shaping = field(default_factory=Shaping)
     caution_growth: float = 1.0  # agent and proximity penalties at the end, relative to the start
-    variant: str = ""  # goes into the names of runs in place of the family's
+    variant: str = ""  # replaces the family in the names of runs
 
     def __post_init__(self) -> None:
         if not 1 <= self.batch_size <= self.n_envs * self.n_steps:
@@ -45,24 +45,27 @@ class Recipe:
             )
         if self.attention_start + self.attention_ramp > 1.0:
             raise InputError(
-                f"attention-start {self.attention_start:g} is too late: the term takes "
-                f"{self.attention_ramp:g} of training to grow to its weight; start at "
+                f"attention-start {self.attention_start:g} is too late: the weight of the term takes "
+                f"{self.attention_ramp:g} of training to grow; start at "
                 f"{1.0 - self.attention_ramp:g} or before."
             )
 
     @property
     def architecture(self) -> dict[str, Any]:
-        """Of xmarl_bench.Architecture, without obs_dim."""
+        """The fields of xmarl_bench.Architecture without obs_dim."""
         return architecture(self.task, self.family)
 
     def learning_rate_at(self, remaining: float) -> float:
-        """SB3's schedule: `remaining` falls from 1 to 0, and below where the last iteration is cut short."""
+        """SB3's schedule: `remaining` falls from 1 to 0, or below if the last iteration overshoots."""
         remaining = max(0.0, remaining)
         return self.learning_rate * (self.final_learning_rate + (1.0 - self.final_learning_rate) * remaining)
 
     def fine_tuning(self) -> Recipe:
-        """The recipe of a run that starts from a finished one: a third of its frames and learning rate,
-        lambda from the start with a longer ramp, and the caution that the finished run ended with."""
+        """The recipe of a run that starts from a finished one.
+
+        A third of the frames and learning rate, lambda from the start with a longer ramp, and the penalties
+        with which the finished run ended.
+        """
         iteration = self.n_envs * self.n_steps
         return replace(
             self,
@@ -76,11 +79,11 @@ class Recipe:
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Recipe:
-        """The recipe that a card holds. Raises InputError for fields of an older trainer."""
+        """The recipe in a card. Raises InputError if it has unknown fields, as of an older trainer."""
         unknown = sorted(record.keys() - {each.name for each in fields(cls)})
         if unknown:
             raise InputError(
-                f"the recipe has unknown fields ({', '.join(unknown)}): an older version of xmarl-train "
+                f"the recipe has unknown fields ({', '.join(unknown)}): another version of xmarl-train "
                 f"wrote it; use that version."
             )
         nested = {"shaping": Shaping(**record["shaping"]), "critic": tuple(record["critic"])}
@@ -90,8 +93,8 @@ class Recipe:
         return asdict(self)
 
 
-# Found on this physics, within minutes on one core; the paper's own are in paper_schedule.py. Small penalties
-# from the first frame, growing over training: large ones freeze the team, late ones leave it flying straight.
+# Tuned on this physics; paper_schedule.py has the paper's own. Penalties are small from the first frame and
+# grow over training: the team stops moving under large ones, and ignores ones that start late.
 RECIPES: dict[str, Recipe] = {
     "blind_navigation_v0": Recipe(
         task="blind_navigation_v0",

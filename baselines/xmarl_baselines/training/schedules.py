@@ -1,10 +1,10 @@
-"""How weights grow while a run goes on."""
+"""Schedules of weights over a run."""
 
 from __future__ import annotations
 
 
 def ramp(done: float, start: float, length: float) -> float:
-    """0 up to `start`, then linearly to 1 over `length`; all are fractions of the run."""
+    """0 up to `start`, then linear to 1 over `length`; all arguments are fractions of the run."""
     since = done - start
     if since < 0:
         return 0.0

@@ -1,4 +1,4 @@
-"""Reward as the trainer sees it. Shaping never changes the reward that the task reports."""
+"""The reward that the trainer optimises. Shaping does not change the reward that the task reports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xmarl_envs.task import Floats, distance
 
 @dataclass(frozen=True)
 class Shaping:
-    """What the trainer adds to, or replaces in, a task's reward. The defaults leave it as it is."""
+    """Changes of a task's reward for training. The defaults change nothing."""
 
     scale: float = 1.0  # multiplies the whole reward
     agent_penalty: float | None = None  # per colliding partner and step; None: the task's own
@@ -25,7 +25,7 @@ class Shaping:
     time_penalty: float = 0.0  # per step to an agent away from its goal
 
     def with_caution(self, factor: float) -> Shaping:
-        """The same with `agent_penalty` (where it is set) and `proximity_penalty` times `factor`."""
+        """A copy with `agent_penalty` (if it is set) and `proximity_penalty` multiplied by `factor`."""
         agent = None if self.agent_penalty is None else factor * self.agent_penalty
         return replace(self, agent_penalty=agent, proximity_penalty=factor * self.proximity_penalty)
 
@@ -66,8 +66,8 @@ def _shaped(task: Task, shaping: Shaping, before: Floats, state: State, step: St
 
 
 def distance_through_gap(task: BlindPassage, position: Floats, state: State) -> Floats:
-    """(B, N, 2) -> (B, N): length of the way to the goal that goes through the middle of the gap."""
-    # An agent pressed against the wall stays below the entrance; one inside the gap is past it.
+    """(B, N, 2) -> (B, N) m: length of the path to the goal through the middle of the gap."""
+    # Below the entrance: agents that touch the wall. Above it: agents inside the gap.
     depth = np.array([0.0, task.wall_thickness / 2 + 0.6 * task.radius])
     entrance, leave = task.gap(state) - depth, task.gap(state) + depth
     beyond = distance(leave, state.targets)
@@ -92,6 +92,6 @@ def _contacts(task: Task, state: State) -> Floats:
 
 
 def _proximity(task: Task, shaping: Shaping, state: State) -> Floats:
-    """(B, N): summed over partners, 1 at contact, 0 from proximity_range on."""
+    """(B, N): sum over partners of 1 at contact, falling to 0 at proximity_range."""
     nearness = 1.0 - _surface_gaps(task, state) / shaping.proximity_range
     return np.asarray(np.clip(nearness, 0.0, 1.0).sum(axis=-1))

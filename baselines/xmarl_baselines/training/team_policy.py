@@ -1,4 +1,4 @@
-"""Actor and centralised critic as one stable-baselines3 policy: the actor is the policy that is scored."""
+"""Actor and centralised critic as one stable-baselines3 policy; the actor is what is scored."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from torch.nn import functional as F
 
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
 
-SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 cannot tell them apart beyond
+SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 is too coarse beyond it
 
 
 class Evaluation(NamedTuple):
-    """What a PPO update needs of a batch of B team-steps."""
+    """What a PPO update needs from a batch of B team-steps."""
 
     log_prob: Tensor  # (B, N)
     entropy: Tensor  # (), nats, of the TanhNormal, one sample per action
@@ -59,7 +59,7 @@ class TeamPolicy(ActorCriticPolicy):
     def _build(self, lr_schedule: Schedule) -> None:
         assert isinstance(self.observation_space, spaces.Box)
         n_agents, obs_dim = self.observation_space.shape
-        # Through JSON: SB3 saves these arguments as such, and tuples come back as lists.
+        # Through JSON, because SB3 saves these arguments as JSON: tuples come back as lists.
         record = json.dumps({**self._architecture, "obs_dim": obs_dim})
         self.actor = GraphPolicy(Architecture.model_validate_json(record))
         widths = (n_agents * obs_dim, *self._critic)
@@ -80,12 +80,12 @@ class TeamPolicy(ActorCriticPolicy):
         return values
 
     def evaluate(self, obs: Tensor, action: Tensor) -> Evaluation:
-        """The update's view of actions taken before; values come from `predict_values`."""
+        """Evaluate actions taken earlier for an update; values come from `predict_values`."""
         prepared = self.actor.prepare(obs)
         distribution = self.actor.decode(prepared)
         normal = Normal(distribution.loc, distribution.scale, validate_args=False)
-        # Differential entropy of the TanhNormal: the Normal's plus the mean log-slope of tanh. It has
-        # no lower bound: with a bonus of -0.06 on it a policy was seen to saturate its actions and no more.
+        # Differential entropy of the TanhNormal: the Normal's plus the mean log-slope of tanh. It has no
+        # lower bound, so a negative weight on it drives actions into saturation.
         entropy = (normal.entropy() + _log_slope(normal.rsample())).sum(dim=-1).mean()
         attention = mean_attention_entropy(prepared.attention)
         return Evaluation(log_prob(distribution, action), entropy, attention)
@@ -105,7 +105,7 @@ class TeamPolicy(ActorCriticPolicy):
 
 
 def mean_attention_entropy(attention: Tensor) -> Tensor:
-    """(..., N, N) rows that sum to 1 -> (): mean entropy of a row in nats, with a finite gradient at 0."""
+    """(..., N, N), rows sum to 1 -> (): mean entropy of a row in nats, with a finite gradient at 0."""
     entropy: Tensor = torch.special.entr(attention.clamp_min(1e-20)).sum(dim=-1).mean()
     return entropy
 

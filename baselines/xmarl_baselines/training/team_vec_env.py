@@ -1,8 +1,7 @@
-"""stable-baselines3's view of a task: a VecEnv with one entry per team, not per agent.
+"""A task as a stable-baselines3 VecEnv with one entry per team, not per agent.
 
-Observations (B, N, D), actions (B, N, 2) and rewards (B, N). SB3's VecMonitor and VecNormalize do not take
-rewards per agent; this class reports what they would (`episode`, `truncated_observation`,
-`TimeLimit.truncated`) in the infos itself.
+Observations (B, N, D), actions (B, N, 2) and rewards (B, N). SB3's VecMonitor does not take rewards per
+agent, so this class itself puts `episode`, `truncated_observation` and `TimeLimit.truncated` into the infos.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from xmarl_baselines.training.shaping import Shaping, training_reward
 
 
 class TeamVecEnv(OneObjectVecEnv):
-    """`n_envs` teams with auto-reset. Copies share pymunk Spaces: fast, equal to rounding between copies.
+    """`n_envs` teams with auto-reset. Copies share pymunk Spaces: fast, and equal up to rounding.
 
     Every info of an ended episode holds `episode` (r: the task's own return, mean over agents; l: length),
     `is_success` (fraction of agents at goal) and `no_agent_collision`.
@@ -41,7 +40,7 @@ class TeamVecEnv(OneObjectVecEnv):
         super().__init__(n_envs, observation_space, action_space)
         self.task = task
         self.shaping = shaping or Shaping()
-        self.caution = 1.0  # multiplies the penalties of touching and of being near
+        self.caution = 1.0  # multiplies the penalties for touching and for being near
         self._env = VectorEnv(task, n_envs, max_cycles, copies_per_space)
         self._rng = np.random.default_rng(seed)
         self._actions: NDArray[np.float32] = np.zeros((n_envs, task.n_agents, 2), np.float32)
@@ -51,7 +50,7 @@ class TeamVecEnv(OneObjectVecEnv):
 
     def reset(self) -> NDArray[np.float32]:
         observation = self._env.reset(training_seeds(self._rng, self.num_envs))
-        # Spread first episodes over their length, so that truncations do not come all at once.
+        # First episodes start at random cycles, so that they are not all truncated at once.
         self._env.cycles[:] = self._rng.integers(0, self._env.max_cycles, self.num_envs)
         self._return[:] = 0.0
         self._collided[:] = False
@@ -91,5 +90,5 @@ class TeamVecEnv(OneObjectVecEnv):
 
 
 def training_seeds(rng: np.random.Generator, n: int) -> list[int]:
-    """Seeds of n episodes to train on: below 2**31, for those of validation and scoring lie above."""
+    """Seeds of n training episodes, below 2**31; those of validation and scoring are larger."""
     return [int(seed) for seed in rng.integers(0, 2**31, n)]

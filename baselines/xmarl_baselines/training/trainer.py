@@ -3,13 +3,13 @@
     RUN/settings.json        what is trained; a run is resumed only with the same settings
     RUN/checkpoint.zip       SB3's zip of weights and optimiser
     RUN/progress.json        frames and CPU seconds so far
-    RUN/curve.json           how the policy did on the validation episodes along training
-    RUN/validated/           its weights at these moments, of which the best become the bundle
+    RUN/curve.json           results on the validation episodes along training
+    RUN/validated/           weights at these moments; the best become the bundle
     RUN/tensorboard/         SB3's log
     RUN/policy/              the finished bundle (policy.safetensors, policy.json)
 
-Resuming reads weights and optimiser alone (SB3's `set_parameters`, which loads tensors, not pickles) and
-draws new random numbers from (seed, frames): an interrupted run is as good as a whole one, not the same run.
+Resuming reads weights and optimiser only (SB3's `set_parameters` loads tensors, not pickles) and draws new
+random numbers from (seed, frames): a resumed run is as good as an uninterrupted one, but not identical to it.
 """
 
 from __future__ import annotations
@@ -40,8 +40,11 @@ Report = Callable[[int, dict[str, float]], None]  # frames so far, SB3's log of 
 
 @dataclass(frozen=True)
 class Run:
-    """What is trained. `attention_entropy` is lambda of the attention-entropy term; `caution` multiplies the
-    recipe's penalties of touching and of being near (1 as it is)."""
+    """What is trained.
+
+    `attention_entropy` is lambda of the attention-entropy term. `caution` multiplies the recipe's penalties
+    for touching and for being near.
+    """
 
     recipe: Recipe
     n_agents: int = 3
@@ -59,7 +62,7 @@ class Run:
 
     @property
     def regularised_from(self) -> float:
-        """Frames after which lambda is whole."""
+        """Frames after which lambda has its full weight."""
         share = self.recipe.attention_start + self.recipe.attention_ramp
         return share * self.recipe.frames if self.attention_entropy else 0.0
 
@@ -82,12 +85,12 @@ class Run:
 
 @dataclass(frozen=True)
 class Trained:
-    """What a finished run gives."""
+    """The result of a finished run."""
 
     policy: GraphPolicy
     seconds: float
     validation: Record  # of that policy
-    curve: list[Record]  # of all that were looked at
+    curve: list[Record]  # of all validations
 
 
 def train(
@@ -102,8 +105,8 @@ def train(
     """Train to the end of the recipe; returns the best policy on the validation episodes.
 
     start_from: folder of the finished run that `run.start_from` names; its weights and optimiser are read.
-    checkpoint_every: iterations between checkpoints. Raises InputError where `folder` holds another run, or
-    one that was begun and `resume` is not set.
+    checkpoint_every: iterations between checkpoints. Raises InputError if `folder` holds another run, or if
+    it holds this one and `resume` is not set.
     """
     done = _begin(run, folder, resume)
     frames, seconds = done or (0, 0.0)
@@ -138,7 +141,7 @@ def train(
 
 
 def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
-    """The learner of a run, untrained."""
+    """The untrained learner of a run."""
     recipe = run.recipe
     task = make_task(recipe.task, run.n_agents)
     shaping = recipe.shaping.with_caution(run.caution)
@@ -165,14 +168,14 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
         device="cpu",
         seed=seed,
     )
-    # Those that `xmarl_bench.policy.initial_policy` makes again from the card.
+    # The weights that `xmarl_bench.policy.initial_policy` rebuilds from the card.
     initial = untrained_policy(model.policy.actor.architecture, run.seed)
     model.policy.actor.load_state_dict(initial.state_dict())
     return model
 
 
 def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
-    """Frames and seconds at the last checkpoint in `folder`, if there is one; writes a new run's settings."""
+    """Frames and seconds at the last checkpoint in `folder`, or None; writes the settings of a new run."""
     settings, progress = folder / "settings.json", folder / "progress.json"
     if not settings.exists():
         write_json(settings, run.settings())
@@ -188,7 +191,7 @@ def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
 
 
 class _Caution(BaseCallback):
-    """Lets the penalties of touching and of being near grow linearly over the run, 1 to `growth` times."""
+    """Multiplies the penalties for touching and for being near, linearly from 1 to `growth` over the run."""
 
     def __init__(self, growth: float) -> None:
         super().__init__()
@@ -219,7 +222,7 @@ class _Keeper(BaseCallback):
     def _on_step(self) -> bool:
         return True
 
-    def _on_rollout_start(self) -> None:  # the update of the iteration before is done
+    def _on_rollout_start(self) -> None:  # the previous iteration's update is done
         self._iterations += 1
         if self._report is not None:
             self._report(self.num_timesteps, dict(self.logger.name_to_value))
@@ -227,7 +230,7 @@ class _Keeper(BaseCallback):
             self.save()
 
     def save(self) -> None:
-        """Checkpoint first, progress after it: a kill between the two repeats some frames, loses none."""
+        """Write the checkpoint before the progress: a kill between the two repeats frames but loses none."""
         self.model.save(self._folder / "checkpoint.new.zip")
         (self._folder / "checkpoint.new.zip").replace(self._folder / "checkpoint.zip")
         write_json(

@@ -2,8 +2,8 @@
 
 Formula: mask[i, j] = alpha_ij / max_k alpha_ik, so every receiver keeps its most attended message whole.
 
-Source: the benchmark's own, to compare with `attention`. Both rank edges alike, so where a metric prefers this one
-it rewards mask mass, not the explanation.
+Source: the benchmark's own, to compare with `attention`. Both rank edges alike, so where a metric prefers
+this one it rewards mask mass, not the explanation.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a referee would check of an explainer or a policy, each with a pass or a sentence."""
+"""Checks of an explainer or a policy before it is scored: each passes or says in a sentence why not."""
 
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
 

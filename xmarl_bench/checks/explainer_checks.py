@@ -1,7 +1,7 @@
-"""What a referee checks of an explainer: that its masks are masks, repeat, and cost nothing but their time.
+"""Checks of an explainer: its masks are valid and repeatable, and it has no side effects.
 
-Scoring protects itself whatever an explainer does (copies, seeds, checked masks); these checks say what it
-would have had to protect itself from. S is the number of timesteps, N agents, D observation entries.
+Scoring is protected from faulty explainers (by copies, seeds and checked masks); these checks tell the author
+about the faults. S is the number of timesteps, N agents, D observation entries.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from xmarl_bench.reproducible import one_thread, seeded
 from xmarl_bench.rollout.cell import spaced_timesteps
 
 SEED: Final = 1
-ROUNDING: Final = 1e-4  # matrix products round by the size of their batch
-SLOW_MS: Final = 20.0  # CPU time per timestep: twice what `slow` is about, for machines differ
+ROUNDING: Final = 1e-4  # rounding of matrix products depends on the size of the batch
+SLOW_MS: Final = 20.0  # CPU time per timestep: twice the limit of `slow`, because machines differ
 MAX_MEMORY_MB: Final = 2000.0
-TIMED_TIMESTEPS: Final = 100  # what a batch costs at all is shared by many
+TIMED_TIMESTEPS: Final = 100  # enough to share the fixed cost of a batch
 MEMORY_TIMESTEPS: Final = 500
 
 
 @dataclass(frozen=True)
 class ExplainerSubject:
-    """An explainer, fitted where it needs that, on a policy and on states that no score uses."""
+    """An explainer, fitted if it needs fitting, with a policy and states that no score uses."""
 
     explainer: Explainer
     policy: Policy
@@ -58,14 +58,14 @@ class ExplainerSubject:
 
     @cached_property
     def mask(self) -> Tensor:
-        """(S, N, N). Raises InputError where there is none."""
+        """(S, N, N). Raises InputError if the explainer returned no valid mask."""
         return mask_of_explainer(self.explainer, self.returned, *self.observations.shape[:2])
 
     def mask_or_skip(self) -> Tensor:
         try:
             return self.mask
         except InputError:
-            raise NotApplicable("there is no mask to look at.") from None
+            raise NotApplicable("the explainer returned no valid mask.") from None
 
     def explain(self, observations: Tensor, seed: int = SEED) -> Tensor:
         return run_explainer(self.explainer, self.policy, observations, seed)
@@ -76,7 +76,7 @@ def check_explainer(
 ) -> Iterator[Finding]:
     """Run every check on at most that many states of the policy's own episodes.
 
-    Raises InputError where the explainer cannot be fitted.
+    Raises InputError if the explainer cannot be fitted.
     """
     with one_thread():
         states = fit_states(policy, task, n_agents)
@@ -113,7 +113,7 @@ def same_seed(subject: ExplainerSubject) -> str:
     if not torch.equal(first, second):
         raise Failed(
             f"two runs with one seed differ by up to {_gap(first, second):.3g}: draw random numbers from "
-            f"`generator`, and keep nothing between calls."
+            f"`generator`, and keep no state between calls."
         )
     return ""
 
@@ -135,13 +135,13 @@ def another_process(subject: ExplainerSubject) -> str:
         raise
     except Exception as error:
         raise Failed(
-            f"it cannot be sent to a worker process ({type(error).__name__}: {error}): keep nothing "
-            f"in it that cannot be pickled."
+            f"it cannot be sent to a worker process ({type(error).__name__}: {error}): remove what "
+            f"cannot be pickled."
         ) from error
     if not torch.equal(first, second):
         raise Failed(
-            f"another process gives another mask, by up to {_gap(first, second):.3g}: let it depend on "
-            f"nothing but policy, observations and generator."
+            f"the mask differs in another process, by up to {_gap(first, second):.3g}: compute it from "
+            f"policy, observations and generator alone."
         )
     return ""
 
@@ -178,7 +178,7 @@ def random_state_untouched(subject: ExplainerSubject) -> str:
     if drawn:
         raise Failed(f"it changed the global random state of {', '.join(drawn)}: draw from `generator`.")
     if changed:
-        raise Failed(f"it changed {', '.join(changed)} for the whole process: put it back.")
+        raise Failed(f"it changed {', '.join(changed)} for the whole process: restore the old value.")
     return ""
 
 
@@ -198,7 +198,7 @@ def chunk(subject: ExplainerSubject) -> str:
 
 
 def team_sizes(subject: ExplainerSubject) -> str:
-    """Masks are checked by `explain`."""
+    """`explain` checks the masks."""
     subject.mask_or_skip()
     own, obs_dim = subject.observations.shape[1:]
     if subject.explainer.fit is not None:
@@ -222,10 +222,10 @@ def time_per_timestep(subject: ExplainerSubject) -> str:
     started = time.process_time()
     subject.explain(x)
     each = (time.process_time() - started) * 1000 / n_steps
-    said = f"{each:.3g} ms of CPU, over {n_steps} timesteps"
+    measured = f"{each:.3g} ms of CPU, over {n_steps} timesteps"
     if each > SLOW_MS and not subject.explainer.slow:
-        raise Failed(f"{said}, without being declared slow: declare slow = True.")
-    return said
+        raise Failed(f"{measured}, without being declared slow: declare slow = True.")
+    return measured
 
 
 def memory(subject: ExplainerSubject) -> str:
@@ -233,11 +233,11 @@ def memory(subject: ExplainerSubject) -> str:
     x = _at_least(subject, MEMORY_TIMESTEPS)
     megabytes = peak_memory(lambda: subject.explain(x))
     if megabytes is None:
-        raise NotApplicable("this system does not tell a process's peak.")
-    said = f"{megabytes:.0f} MB more at its peak, on {len(x)} timesteps"
+        raise NotApplicable("this system does not report a process's peak memory.")
+    measured = f"{megabytes:.0f} MB more at its peak, on {len(x)} timesteps"
     if megabytes > MAX_MEMORY_MB:
-        raise Failed(f"{said}, over {MAX_MEMORY_MB:.0f}: explain fewer timesteps at once.")
-    return said
+        raise Failed(f"{measured}, over {MAX_MEMORY_MB:.0f}: explain fewer timesteps at once.")
+    return measured
 
 
 CHECKS: dict[str, Callable[[ExplainerSubject], str]] = {
@@ -263,18 +263,18 @@ def _floats(subject: ExplainerSubject) -> Tensor:
     try:
         return as_floats(subject.explainer.name, subject.returned, (n_steps, n_agents, n_agents))
     except InputError:
-        raise NotApplicable("there is no mask to look at.") from None
+        raise NotApplicable("the explainer returned no valid mask.") from None
 
 
 def _at_least(subject: ExplainerSubject, n_steps: int) -> Tensor:
-    """The states, over and over; once for explainers that say they are slow."""
+    """The states, repeated up to `n_steps` or more; once if the explainer is declared slow."""
     n_states = len(subject.observations)
     times = 1 if subject.explainer.slow else -(-n_steps // n_states)
     return subject.observations.repeat(times, 1, 1)
 
 
 def _call(subject: ExplainerSubject, policy: Policy, observations: Tensor) -> None:
-    """Without the protection of scoring: on this very policy, with the global state as it is."""
+    """Call the explainer without scoring's protection: on this policy object and the global random state."""
     explainer, generator = subject.explainer, torch.Generator().manual_seed(SEED)
     with torch.enable_grad():
         for x in [observations] if explainer.batched else observations:
@@ -290,17 +290,17 @@ def _one_thread(work: tuple[Explainer, Policy, Tensor]) -> Tensor:
 def _deterministic(subject: ExplainerSubject) -> Tensor:
     mask = subject.mask_or_skip()
     if subject.explainer.stochastic:
-        raise NotApplicable("a stochastic explainer draws its numbers in the order of timesteps.")
+        raise NotApplicable("a stochastic explainer draws its random numbers in the order of timesteps.")
     return mask
 
 
 def _same_but_rounding(expected: Tensor, mask: Tensor, how: str) -> str:
-    """A threshold may fall on the other side by rounding, so one value in a hundred is let pass."""
+    """Rounding may move a value across an explainer's threshold, so one value in a hundred may change."""
     changed = float(((expected - mask).abs() > ROUNDING).double().mean())
     if changed > 0.01:
         raise Failed(
             f"explained {how}, {changed:.0%} of the values change, by up to {_gap(expected, mask):.3g}: "
-            f"explain each timestep by itself."
+            f"explain each timestep independently."
         )
     return f"largest difference {_gap(expected, mask):.2g}"
 

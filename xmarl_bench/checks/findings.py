@@ -1,4 +1,4 @@
-"""The frame of all checks: a check is a name and a function of its subject, and it passes or says why not."""
+"""Runs checks: a check is a name and a function of its subject, which returns or raises the reason."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from xmarl_bench.errors import InputError
 Subject = TypeVar("Subject")
 
 
-class Failed(Exception):  # noqa: N818 - what was found out, not an error of ours
-    """Raised by a check: one sentence on what was wrong, what was received, what to do."""
+class Failed(Exception):  # noqa: N818 - a finding, not an error of ours
+    """Raised by a check that fails: what was wrong, what was received, what to do, in one sentence."""
 
 
 class NotApplicable(Exception):  # noqa: N818
-    """Raised by a check that has nothing to say of this subject: one sentence why."""
+    """Raised by a check that does not apply to this subject, with the reason in one sentence."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What one check found out."""
+    """The result of one check."""
 
     check: str
     passed: bool | None  # None: does not apply
-    said: str  # the sentence of a failure or of what does not apply; else what was measured, may be empty
+    message: str  # why it failed or does not apply; else what was measured, may be empty
 
     def record(self) -> dict[str, str | bool | None]:
-        return {"check": self.check, "passed": self.passed, "said": self.said}
+        return {"check": self.check, "passed": self.passed, "said": self.message}
 
 
 def run_checks(checks: Mapping[str, Callable[[Subject], str]], subject: Subject) -> Iterator[Finding]:
-    """Every check in turn, each as soon as it is done; the failure of one stops no other.
+    """Run every check in turn, and yield each finding at once. A failure does not stop the others.
 
-    A check returns what it measured ("" for nothing to tell), or raises `Failed` or `NotApplicable`.
-    Whatever else the subject raises inside it is a failure too.
+    A check returns what it measured (may be ""), or raises `Failed` or `NotApplicable`. Any other exception
+    is a failure too.
     """
     for name, check in checks.items():
         try:

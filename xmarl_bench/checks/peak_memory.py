@@ -1,4 +1,4 @@
-"""How much memory a call needs at its peak, as the system tells it."""
+"""Peak memory of a call, as Linux reports it."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
-FORGET_PEAK = "5"  # proc(5): resets the peak to what is resident now
+RESET_PEAK = "5"  # proc(5): sets the peak to the current resident memory
 
 
 def peak_memory(call: Callable[[], object]) -> float | None:
-    """Megabytes resident at the peak of the call, over those before it; None where Linux does not tell.
+    """Resident megabytes at the peak of the call, less those before it; None if Linux does not report them.
 
-    Memory that an earlier call freed and the allocator kept is used again without growing: a lower bound.
+    A lower bound: the allocator reuses memory that earlier calls freed.
     """
     gc.collect()
     try:
-        CLEAR.write_text(FORGET_PEAK)
+        CLEAR.write_text(RESET_PEAK)
         before = _kilobytes("VmRSS")
         call()
         return max(0.0, (_kilobytes("VmHWM") - before) / 1024)

@@ -1,6 +1,6 @@
-"""What a referee checks of a policy: one function shared by a team that meets in its messages alone.
+"""Checks of a policy: all agents share one function and interact through messages only.
 
-A mask can explain such a policy and no other. S is the number of timesteps, N agents, D observation entries.
+Masks can explain such policies only. S is the number of timesteps, N agents, D observation entries.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from xmarl_bench.rollout.cell import Cell, spaced_timesteps
 from xmarl_bench.rollout.episodes import Episode, play, roll_out
 
 SEED: Final = 1
-ROUNDING: Final = 1e-4  # action units: sums round by their order and by the size of a batch
+ROUNDING: Final = 1e-4  # action units: rounding depends on the order of a sum and the size of a batch
 LISTENS: Final = 0.02  # mean change without messages below which a policy is not ranked on the leaderboard
 
 
@@ -37,14 +37,14 @@ class PolicySubject:
     policy: Policy
     cell: Cell
     observations: Tensor  # (S, N, D), of the policy's own episodes
-    episodes: int  # for what has to be played
+    episodes: int  # for the checks that play episodes
 
     @cached_property
     def full(self) -> ActionDistribution:
         return self.policy.distribution(self.observations)
 
     def act(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(N, D) -> (N, A), on any edges of one team."""
+        """(N, D) -> (N, A), on the given edges of one team."""
         action: Tensor = self.policy(x, edge_index)
         return action
 
@@ -53,12 +53,12 @@ class PolicySubject:
         return np.random.default_rng(SEED)
 
     def permutation(self) -> Tensor:
-        """Agents in another order: each one moves by one place."""
+        """Another order of the agents: each one moves by one place."""
         return torch.arange(self.observations.shape[1]).roll(1)
 
 
 def check_policy(policy: Policy, cell: Cell, *, timesteps: int = 20, episodes: int = 20) -> Iterator[Finding]:
-    """Run every check, on so many states of the policy's own episodes and on so many episodes."""
+    """Run every check, on `timesteps` states of the policy's own episodes and on `episodes` new ones."""
     with one_thread(), torch.no_grad():
         states = fit_states(policy, cell.task, cell.n_agents)
         states = states[torch.from_numpy(spaced_timesteps(len(states), timesteps))]
@@ -68,7 +68,9 @@ def check_policy(policy: Policy, cell: Cell, *, timesteps: int = 20, episodes: i
 def weights(subject: PolicySubject) -> str:
     bad = [name for name, each in subject.policy.named_parameters() if not bool(torch.isfinite(each).all())]
     if bad:
-        raise Failed(f"{len(bad)} tensors hold NaN or infinity, {bad[0]!r} first: train or save it again.")
+        raise Failed(
+            f"{len(bad)} tensors hold NaN or infinity, the first is {bad[0]!r}: train or save them again."
+        )
     return f"{sum(each.numel() for each in subject.policy.parameters())} parameters, all finite"
 
 
@@ -79,7 +81,7 @@ def ranges(subject: PolicySubject) -> str:
     if float(action.abs().max()) > 1.0:
         raise Failed(f"an action is {float(action.abs().max()):.3g}: keep actions in [-1, 1].")
     if subject.full.kind != "deterministic" and not bool((scale > 0).all()):
-        raise Failed("a scale is not positive: a Normal needs one.")
+        raise Failed("a scale is not positive: give every Normal a positive scale.")
     low, high, widest = float(action.min()), float(action.max()), float(scale.max())
     return f"actions {low:.2f} to {high:.2f}, scales up to {widest:.2f}"
 
@@ -87,7 +89,7 @@ def ranges(subject: PolicySubject) -> str:
 def repeats(subject: PolicySubject) -> str:
     again = subject.policy.distribution(subject.observations)
     if not torch.equal(again.loc, subject.full.loc):
-        raise Failed("the same observations gave another action: leave out dropout and random numbers.")
+        raise Failed("the same observations gave another action: remove dropout and random numbers.")
     return "bit for bit"
 
 
@@ -103,23 +105,23 @@ def mask_of_ones(subject: PolicySubject) -> str:
 
 
 def equivariance(subject: PolicySubject) -> str:
-    """Agents are told apart by what they observe and by their edges, not by their number.
+    """Actions depend on observations and edges, not on the agents' numbers.
 
-    Edges come in the order of these numbers, so what depends on their order depends on the numbers.
+    Edges come in the order of these numbers, so this finds dependence on the order of edges too.
     """
     order = subject.permutation()
     place = torch.empty_like(order)
     place[order] = torch.arange(len(order))
     here = torch.stack([subject.act(x, subject.policy.edges(x))[order] for x in subject.observations])
     there = torch.stack([subject.act(x[order], place[subject.policy.edges(x)]) for x in subject.observations])
-    return _close(there, here, "agents in another order act in another way")
+    return _close(there, here, "actions change with the order of agents")
 
 
 def blindness(subject: PolicySubject) -> str:
-    """Where nobody hears another, an agent's action depends on what it observes itself.
+    """Without messages from others, an agent's action depends on its own observation alone.
 
-    That is a graph of loops alone, and a mask of zeros. (Not the mask of own edges: what an agent gives to
-    its own edge is its share of a softmax over all.)
+    Without messages: a graph of loops only, and a mask of zeros. (Not the mask of own edges: the attention to
+    an agent's own edge depends on the others through the softmax.)
     """
     if subject.observations.shape[1] < 2:
         raise NotApplicable("needs two agents.")
@@ -143,7 +145,10 @@ def attends(subject: PolicySubject) -> str:
     heard = total if adjacency is None else total[adjacency.any(dim=-1)]
     off = float((heard - 1.0).abs().max()) if heard.numel() else 0.0
     if off > ROUNDING or float(alpha.min()) < 0:
-        raise Failed(f"rows of the attention sum to 1 +- {off:.2g}: explainers take it for a distribution.")
+        raise Failed(
+            f"rows of the attention sum to 1 +- {off:.2g}: return a distribution over senders, as explainers "
+            f"expect."
+        )
     return f"an agent's own edge has {float(alpha.diagonal(dim1=-2, dim2=-1).mean()):.2f} of it"
 
 
@@ -171,21 +176,21 @@ def success(subject: PolicySubject) -> str:
     chance = play(task, at_random, seeds)
     ours, theirs = _rates(trained), _rates(chance)
     difference = over_units([ours], [theirs])
-    said = f"success {np.mean(ours):.2f}, random actions {np.mean(theirs):.2f}, {len(ours)} episodes"
+    measured = f"success {np.mean(ours):.2f}, random actions {np.mean(theirs):.2f}, {len(ours)} episodes"
     if difference.interval is None or difference.interval[0] <= 0:
-        raise Failed(f"{said}: not more than chance, train it further.")
-    return said
+        raise Failed(f"{measured}: not more than chance, train it further.")
+    return measured
 
 
 def _rates(episodes: Sequence[Episode]) -> list[float]:
     return [episode.success_rate for episode in episodes]
 
 
-def _close(one: Tensor, other: Tensor, otherwise: str) -> str:
+def _close(one: Tensor, other: Tensor, fault: str) -> str:
     largest = float((one - other).abs().max())
     if not largest <= ROUNDING:
         raise Failed(
-            f"{otherwise}, by up to {largest:.2g}: let agents meet in message-passing layers only, the same "
+            f"{fault}, by up to {largest:.2g}: let agents interact in message-passing layers only, the same "
             f"for all."
         )
     return f"to {largest:.1g}"
@@ -196,7 +201,7 @@ CHECKS: Final[dict[str, Callable[[PolicySubject], str]]] = {
     "output ranges": ranges,
     "repeats": repeats,
     "independent of the batch": batch,
-    "a mask of ones is none": mask_of_ones,
+    "a mask of ones changes nothing": mask_of_ones,
     "permutation equivariance": equivariance,
     "blind without messages": blindness,
     "masks reach their edges": receivers,

@@ -1,4 +1,4 @@
-"""What a policy and a process look like from outside, to see whether somebody has been there."""
+"""Snapshots of a policy and of a process's global state, to detect what an explainer changed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from xmarl_bench.policy import Policy
 
 
 def traces_of(policy: Policy, observations: Tensor) -> dict[str, str]:
-    """Hashes of all that an explainer could leave behind: a changed one names what was touched."""
+    """Hashes of everything that an explainer could change in a policy, by what it is."""
     with torch.no_grad():
         answer = policy.distribution(observations)
     state = policy.state_dict()
@@ -31,7 +31,7 @@ def traces_of(policy: Policy, observations: Tensor) -> dict[str, str]:
 
 
 def random_states() -> dict[str, str]:
-    """The global ones, of every library that has one here."""
+    """The global random states of all libraries used here."""
     return {
         "torch": str(torch.get_rng_state().tolist()),
         "numpy": str(np.random.get_state()),  # noqa: NPY002
@@ -40,7 +40,7 @@ def random_states() -> dict[str, str]:
 
 
 def global_settings() -> dict[str, object]:
-    """Of torch, for the whole process."""
+    """torch's settings for the whole process."""
     return {
         "torch's number of threads": torch.get_num_threads(),
         "torch's default dtype": torch.get_default_dtype(),
@@ -50,7 +50,7 @@ def global_settings() -> dict[str, object]:
 
 
 def _hooks(module: nn.Module) -> dict[str, int]:
-    """How many hooks of each kind; PyG's layers keep kinds of their own under such names too."""
+    """Number of hooks of each kind, including those of PyG's layers."""
     return {
         name: len(hooks)
         for name, hooks in vars(module).items()

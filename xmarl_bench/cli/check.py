@@ -77,7 +77,7 @@ def report(subject: str, findings: Iterable[Finding], *, as_json: bool) -> None:
         table = Table("check", "", "", title=subject, title_justify="left", show_lines=False)
         words = {True: "[green]pass[/green]", False: "[red]FAIL[/red]", None: "[dim]n/a[/dim]"}
         for each in found:
-            table.add_row(each.check, words[each.passed], each.said)
+            table.add_row(each.check, words[each.passed], each.message)
         console().print(table)
         print(f"{subject}: {failed} of {len(found)} checks failed." if failed else f"{subject}: all passed.")
     if failed:

@@ -1,1 +1,1 @@
-"""Policies whose relevant messages are known by construction, and what explainers find of them."""
+"""Policies whose relevant messages are known by construction, and explainers scored against that truth."""

@@ -1,14 +1,14 @@
-"""Planted truth: policies of the closed list with weights set so that it is known which messages matter.
+"""Planted truth: policies whose weights are set by hand, so that the relevant messages are known.
 
-Agents see content (what they say), roles (whom to listen to) and codes. Every family is a rule of which
-senders a receiver reads, built into one GATv2 layer and a small decoder; nothing is trained. States are drawn
-at random; rows of the truth are counted for receivers that the rule speaks of.
+An observation holds content (the message), roles and codes. Each family is a rule for which senders a
+receiver reads, built into one GATv2 layer and a small decoder. Nothing is trained. States are random. The
+truth counts the receivers that the rule applies to.
 
-    one-sender      reads the one agent whose code the receiver's own code names
-    by-content      reads whoever is the speaker at the moment
-    redundant-pair  two speakers say the same, and either is enough
-    exclusive-or    acts where two speakers disagree: neither says anything alone
-    decoy           attends most to an agent that says nothing, and reads another
+    one-sender      reads the one agent whose code the receiver's observation names
+    by-content      reads the agent that is the speaker at this timestep
+    redundant-pair  two speakers send the same content, and either is enough
+    exclusive-or    acts where two speakers disagree: one alone gives no information
+    decoy           attends most to an agent without content, and reads another
     near-wall       reads the speaker only while the receiver itself is near a wall
 
 S is the number of timesteps, N agents.
@@ -32,41 +32,41 @@ CODES: Final = 10  # the largest team
 # Entries of an observation.
 CONTENT, SPEAKER, DECOY, WALL, CODE, NAMED = 0, 1, 2, 3, 4, 4 + CODES
 OBS_DIM: Final = NAMED + CODES
-# Units of the layer: what is read, who speaks, who is the decoy, the wall, and one for each code.
-READ, SPEAKS, LURES, NEAR, MATCH = 0, 1, 2, 3, 4
+# Units of the layer: the content read, the roles speaker and decoy, the wall, and one for each code.
+READ, IS_SPEAKER, IS_DECOY, NEAR, MATCH = 0, 1, 2, 3, 4
 WIDTH: Final = MATCH + CODES
-LOUD: Final = 20.0  # difference of logits: the others get e^-20 of the attention
-LEAK: Final = 0.8  # by which GATv2's leaky ReLU tells a match of codes from none
+LOGIT_GAP: Final = 20.0  # the other senders get e^-20 of the attention
+MATCH_GAP: Final = 0.8  # summed over codes, GATv2's leaky ReLU gives so much more for a match than for none
 Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Planted:
-    """A policy, states, and which messages matter in them."""
+    """A policy, states, and the messages that are relevant in them."""
 
     family: str
     policy: GraphPolicy
     observations: Tensor  # (S, N, D)
     reference: Tensor  # (Q, N, D), other states
     relevant: Bools  # (S, N, N): [s, i, j], message j -> i; False on the diagonal
-    counted: Bools  # (S, N): receivers that the rule speaks of, with relevant senders and others
+    counted: Bools  # (S, N): receivers that the rule applies to, with relevant and irrelevant senders
 
 
 @dataclass(frozen=True)
 class Rule:
-    """How a family's states are drawn, and what its decoder does with what is read."""
+    """How a family's states are drawn, and how its decoder uses the content read."""
 
-    speakers: int  # agents with the role, besides whom nobody is read; 0: codes name the sender
+    speakers: int  # number of speakers, the only agents that are read; 0: codes name the sender
     decode: Callable[[Weights], None]
-    same: bool = False  # speakers say the same
+    same: bool = False  # all speakers send the same content
     bits: bool = False  # content is -1 or 1
     decoy: bool = False
     wall: bool = False
-    fewest: int = 3  # agents, so that there is somebody to read and somebody not to
+    min_agents: int = 3  # smallest team with relevant and irrelevant senders
 
 
 class Weights:
-    """The decoder's two layers, of four hidden units; each line is loc += out * relu(read, near, bias)."""
+    """The decoder's two layers, of four hidden units. `add` sets one: loc += out * relu(read, near, bias)."""
 
     HIDDEN = 4
 
@@ -89,20 +89,20 @@ def _proportional(w: Weights) -> None:
 
 
 def _amplified(w: Weights) -> None:
-    """loc = 8 read: a quarter of the attention is enough."""
+    """loc = 8 read: a quarter of the attention suffices."""
     w.add(8.0, 1.0)
     w.add(-8.0, -1.0)
 
 
 def _saturated(w: Weights) -> None:
-    """loc = 2 clip(read / 0.4, -1, 1): half of what is said is as good as all of it."""
+    """loc = 2 clip(read / 0.4, -1, 1): half of the content has the same effect as all of it."""
     for sign in (1.0, -1.0):
         w.add(sign * 5.0, sign)
         w.add(-sign * 5.0, sign, bias=-0.4)
 
 
 def _disagreement(w: Weights) -> None:
-    """loc = 2 (1 - |read|), read = -1 or 1 where both say the same and 0 where they do not."""
+    """loc = 2 (1 - |read|), where read is -1 or 1 if both agree, and 0 if they do not."""
     w.add(2.0, 0.0, bias=1.0)
     w.add(-2.0, 1.0)
     w.add(-2.0, -1.0)
@@ -112,27 +112,28 @@ def _gated(w: Weights) -> None:
     """loc = 2 read near a wall, 0 elsewhere: |read| <= 1."""
     w.add(2.0, 1.0, near=2.0, bias=-2.0)
     w.add(-2.0, -1.0, near=2.0, bias=-2.0)
-    # Without content both units are 0 near the wall too: relu(2 near - 2) = 0.
+    # Without content both units are 0 near a wall too: relu(2 near - 2) = 0.
 
 
 FAMILIES: Final[dict[str, Rule]] = {
     "one-sender": Rule(0, _proportional),
     "by-content": Rule(1, _proportional),
-    "redundant-pair": Rule(2, _saturated, same=True, bits=True, fewest=4),
-    "exclusive-or": Rule(2, _disagreement, bits=True, fewest=4),
+    "redundant-pair": Rule(2, _saturated, same=True, bits=True, min_agents=4),
+    "exclusive-or": Rule(2, _disagreement, bits=True, min_agents=4),
     "decoy": Rule(1, _amplified, decoy=True),
     "near-wall": Rule(1, _gated, wall=True),
 }
 
 
 def planted(family: str, n_agents: int, *, n_steps: int = 100, seed: int = 0) -> Planted:
-    """A family's policy and drawn states. Raises InputError for an unknown family or team size."""
+    """A family's policy and random states. Raises InputError for an unknown family or team size."""
     if family not in FAMILIES:
         raise unknown("family", family, FAMILIES)
     rule = FAMILIES[family]
-    if not rule.fewest <= n_agents <= CODES:
+    if not rule.min_agents <= n_agents <= CODES:
         raise InputError(
-            f"{family} takes {rule.fewest} to {CODES} agents, got {n_agents}: choose a number in that range."
+            f"{family} takes {rule.min_agents} to {CODES} agents, got {n_agents}: choose a number in that "
+            f"range."
         )
     rng = np.random.default_rng([seed, n_agents, list(FAMILIES).index(family)])
     observations, relevant, counted = _states(rule, n_agents, n_steps, rng)
@@ -156,7 +157,7 @@ def _states(rule: Rule, n_agents: int, n_steps: int, rng: np.random.Generator) -
             x[s, decoy, DECOY], x[s, decoy, CONTENT] = 1.0, 0.0
             counted[s, decoy] = False
         relevant[s][:, chosen] = True
-        counted[s, chosen] = False  # who speaks hears itself
+        counted[s, chosen] = False  # a speaker reads itself
         if not rule.speakers:
             named = (np.arange(n_agents) + rng.integers(1, n_agents, n_agents)) % n_agents  # another agent
             codes = rng.permutation(CODES)[:n_agents]
@@ -186,15 +187,15 @@ def _policy(rule: Rule) -> GraphPolicy:
     with torch.no_grad():
         for parameter in policy.parameters():
             parameter.zero_()
-        said, asked, logit = gat.lin_l.weight, gat.lin_r.weight, gat.att.view(-1)
-        said[READ, CONTENT] = 1.0
-        said[SPEAKS, SPEAKER] = said[LURES, DECOY] = 1.0
-        logit[SPEAKS], logit[LURES] = LOUD, LOUD + 1.0
-        for k in range(CODES):  # 1 where the sender's code is the one named, 0 where one of the two is k
-            said[MATCH + k, CODE + k] = asked[MATCH + k, NAMED + k] = 1.0
+        sender, receiver, logit = gat.lin_l.weight, gat.lin_r.weight, gat.att.view(-1)
+        sender[READ, CONTENT] = 1.0
+        sender[IS_SPEAKER, SPEAKER] = sender[IS_DECOY, DECOY] = 1.0
+        logit[IS_SPEAKER], logit[IS_DECOY] = LOGIT_GAP, LOGIT_GAP + 1.0
+        for k in range(CODES):  # 1 if the sender's code and the named code are k, 0 if one of them is
+            sender[MATCH + k, CODE + k] = receiver[MATCH + k, NAMED + k] = 1.0
             if not rule.speakers:
                 gat.lin_r.bias[MATCH + k] = -1.0
-                logit[MATCH + k] = LOUD / LEAK
+                logit[MATCH + k] = LOGIT_GAP / MATCH_GAP
         gat.res.weight[NEAR, WALL] = 1.0
         first.weight.copy_(weights.into)
         first.bias.copy_(weights.bias)

@@ -1,7 +1,8 @@
-"""Scores explainers on planted truth: do they find the messages that matter, and does the referee agree?
+"""Scores explainers on planted truth: do they find the relevant messages, and does the leaderboard agree?
 
-Beside each explainer's AUROC and average precision stands its message fidelity on the same policy and states,
-the order of the leaderboard. Kendall's tau between the two orders says whether the referee can be believed.
+Each explainer gets AUROC and average precision against the truth, and its message fidelity, by which the
+leaderboard is ordered, on the same policy and states. Kendall's tau between the two orders tells whether the
+leaderboard's order can be trusted.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from xmarl_bench.planted.truth import auroc, average_precision
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.scoring.states import States
 
-SIZES = (4, 6, 8)  # by default
-FLOORS = ("random", "all-ones")
+SIZES = (4, 6, 8)  # default team sizes
+ALWAYS_SCORED = ("random", "all-ones")
 
 
 @dataclass(frozen=True)
-class Found:
-    """What an explainer found of one family, or why it could not be asked."""
+class PlantedScore:
+    """An explainer's score on one family and team size, or why it could not be scored."""
 
     family: str
     n_agents: int
@@ -35,29 +36,29 @@ class Found:
     control: bool
     auroc: float | None
     average_precision: float | None
-    fidelity: float | None  # the order of the leaderboard
+    fidelity: float | None  # message fidelity, by which the leaderboard is ordered
     under: dict[str, float | None]  # budgeted fidelity under each absence model
     error: str | None = None
 
 
 def score_planted(
     explainers: Sequence[Explainer], *, sizes: Sequence[int] = SIZES, n_steps: int = 100, seed: int = 0
-) -> list[Found]:
-    """Every explainer, and the floors, on every family that a team of these sizes can have."""
+) -> list[PlantedScore]:
+    """Score every explainer, and the controls `ALWAYS_SCORED`, on every family, where it takes the size."""
     if any(not 3 <= size <= CODES for size in sizes):
         raise InputError(f"planted teams have 3 to {CODES} agents, got {list(sizes)}: choose from these.")
-    asked = {each.name: each for each in (*(CONTROLS[name] for name in FLOORS), *explainers)}
+    scored = {each.name: each for each in (*(CONTROLS[name] for name in ALWAYS_SCORED), *explainers)}
     found = []
     with one_thread():
         for family, rule in FAMILIES.items():
             for n_agents in sizes:
-                if n_agents >= rule.fewest:
+                if n_agents >= rule.min_agents:
                     truth = planted(family, n_agents, n_steps=n_steps, seed=seed)
-                    found += _found(truth, n_agents, list(asked.values()), seed)
+                    found += _score(truth, n_agents, list(scored.values()), seed)
     return found
 
 
-def _found(truth: Planted, n_agents: int, explainers: Sequence[Explainer], seed: int) -> list[Found]:
+def _score(truth: Planted, n_agents: int, explainers: Sequence[Explainer], seed: int) -> list[PlantedScore]:
     rng = np.random.default_rng(derived_seed("planted", seed, truth.family, n_agents))
     states = States.of(truth.policy, truth.observations, rng, truth.reference)
     found = []
@@ -68,15 +69,16 @@ def _found(truth: Planted, n_agents: int, explainers: Sequence[Explainer], seed:
             ready = fit_explainer(explainer, truth.policy, truth.reference, drawn)
             mask = run_explainer(ready, truth.policy, truth.observations, drawn)
         except InputError as error:
-            found.append(Found(*who, None, None, None, dict.fromkeys(UNDER_ABSENCES), str(error)))
+            found.append(PlantedScore(*who, None, None, None, dict.fromkeys(UNDER_ABSENCES), str(error)))
             continue
         row, where = states.mask_metrics(mask), (mask.numpy(), truth.relevant, truth.counted)
         under = {name: getattr(row, name) for name in UNDER_ABSENCES}
-        found.append(Found(*who, auroc(*where), average_precision(*where), getattr(row, ORDER), under))
+        scores = auroc(*where), average_precision(*where), getattr(row, ORDER)
+        found.append(PlantedScore(*who, *scores, under))
     return found
 
 
-def agreement(found: Sequence[Found]) -> float | None:
+def agreement(found: Sequence[PlantedScore]) -> float | None:
     """Kendall's tau-b of explainers' mean AUROC and mean message fidelity; None for fewer than three."""
     from scipy.stats import kendalltau
 
@@ -88,8 +90,8 @@ def agreement(found: Sequence[Found]) -> float | None:
     )
 
 
-def means_of(found: Sequence[Found]) -> dict[str, dict[str, float]]:
-    """Explainer -> means over families of those over sizes, best AUROC first; of who answered everywhere."""
+def means_of(found: Sequence[PlantedScore]) -> dict[str, dict[str, float]]:
+    """Explainer -> means over sizes, then over families, best AUROC first. Omits explainers that failed."""
     names = dict.fromkeys(each.explainer for each in found)
     failed = {each.explainer for each in found if each.error is not None}
     means = {
@@ -104,8 +106,8 @@ def means_of(found: Sequence[Found]) -> dict[str, dict[str, float]]:
     return dict(sorted(means.items(), key=lambda pair: (-pair[1]["auroc"], pair[0])))
 
 
-def by_family(found: Sequence[Found], name: str, field: str) -> dict[str, float]:
-    """Family -> mean of an explainer's field over team sizes, of those that are numbers."""
+def by_family(found: Sequence[PlantedScore], name: str, field: str) -> dict[str, float]:
+    """Family -> mean of an explainer's field over the team sizes where it is a number."""
     values: dict[str, list[float]] = {}
     for each in found:
         value = getattr(each, field)
@@ -114,12 +116,12 @@ def by_family(found: Sequence[Found], name: str, field: str) -> dict[str, float]
     return {family: float(np.mean(each)) for family, each in values.items()}
 
 
-def _mean(found: Sequence[Found], name: str, field: str) -> float:
+def _mean(found: Sequence[PlantedScore], name: str, field: str) -> float:
     return float(np.mean(list(by_family(found, name, field).values())))
 
 
-def record(found: Sequence[Found], seed: int) -> Mapping[str, Any]:
-    """As JSON."""
+def record(found: Sequence[PlantedScore], seed: int) -> Mapping[str, Any]:
+    """The scores and their summary, as written to JSON."""
     return {
         "suite": "planted",
         "seed": seed,

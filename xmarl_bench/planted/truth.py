@@ -1,7 +1,7 @@
-"""How well a mask finds the messages that matter: ranking quality against a planted truth.
+"""How well a mask finds the relevant messages: its ranking against a planted truth.
 
-Both are within a receiver's row, over the other agents, ties counted half, and averaged over receivers and
-timesteps; scikit-learn's definitions. N is the number of agents, S of timesteps.
+Both metrics rank the other agents within a receiver's row, count ties half, and average over receivers and
+timesteps. Definitions as in scikit-learn. N is the number of agents, S of timesteps.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ Bools = NDArray[np.bool_]
 
 
 def auroc(mask: NDArray[np.floating], relevant: Bools, counted: Bools) -> float:
-    """(S, N, N), (S, N, N), (S, N) -> area under the ROC curve: 0.5 is a random ranking, 1 the truth.
+    """(S, N, N), (S, N, N), (S, N) -> area under the ROC curve: 0.5 for a random ranking, 1 for the truth.
 
-    The chance that a message that matters stands above one that does not.
+    The probability that a relevant message ranks above an irrelevant one.
     """
     value, matters = _rows(mask, relevant, counted)
     above = np.sign(value[:, :, None] - value[:, None, :]) / 2 + 0.5
@@ -27,14 +27,14 @@ def auroc(mask: NDArray[np.floating], relevant: Bools, counted: Bools) -> float:
 
 
 def average_precision(mask: NDArray[np.floating], relevant: Bools, counted: Bools) -> float:
-    """(S, N, N), (S, N, N), (S, N) -> mean precision at the messages that matter; 1 is the truth."""
+    """(S, N, N), (S, N, N), (S, N) -> mean precision at the relevant messages; 1 for the truth."""
     value, matters = _rows(mask, relevant, counted)
-    at_least = value[:, None, :] >= value[:, :, None]  # [row, j, k]: k stands where j does, or above
+    at_least = value[:, None, :] >= value[:, :, None]  # [row, j, k]: k ranks at least as high as j
     precision = (at_least & matters[:, None, :]).sum(axis=2) / at_least.sum(axis=2)
     return float(((precision * matters).sum(axis=1) / matters.sum(axis=1)).mean())
 
 
 def _rows(mask: NDArray[np.floating], relevant: Bools, counted: Bools) -> tuple[Floats, Bools]:
-    """(rows, N - 1) of the receivers that count."""
+    """Values and relevance, each (rows, N - 1), of the receivers counted."""
     value = other_senders(mask.astype(np.float64))[counted]
     return value, other_senders(relevant)[counted]

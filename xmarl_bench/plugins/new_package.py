@@ -1,6 +1,6 @@
-"""Writes a small package that registers an explainer or a policy, and passes its own checks as it stands.
+"""Writes a small package that registers a working explainer or policy.
 
-What is written are the files of `templates/<kind>/`, beside this module, with PACKAGE in their names.
+Its files are made from `templates/<kind>/` beside this module; PACKAGE in their names is replaced.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ TEMPLATES = Path(__file__).with_name("templates")
 def write_package(kind: str, name: str, folder: Path) -> list[Path]:
     """Write the package `name` into `folder`; returns its files.
 
-    Raises InputError for a name that Python or the registry cannot take or that is taken, and for a folder
-    with anything in it.
+    Raises InputError if the name is invalid for Python or the registry or already in use, or if the folder
+    is not empty.
     """
     package = name.replace("-", "_").replace(".", "_")
     if not NAME.match(name) or not package.isidentifier() or keyword.iskeyword(package):
         raise InputError(
-            f"{name!r} names no package: start with a letter, then a-z, 0-9, - and _, such as my-{kind}."
+            f"{name!r} is not a valid package name: start with a letter, then a-z, 0-9, - and _, such as "
+            f"my-{kind}."
         )
     if package in sys.stdlib_module_names or find_spec(package) is not None:
-        raise InputError(f"a module {package!r} is installed already: choose another name than {name!r}.")
+        raise InputError(f"a module {package!r} is already installed: choose another name than {name!r}.")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder} is there already: choose another folder with --out, or remove it.")
+        raise InputError(f"{folder} already exists: choose another folder with --out, or remove it.")
     check_writable(folder)
     environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True)
     context = {"name": name, "package": package, "harness": package_version("xmarl-bench") or "0.1.0"}

@@ -1,10 +1,10 @@
-"""Finds policies and explainers by name, among those of every installed package.
+"""Finds policies and explainers of every installed package by name.
 
 Explainers: entry points in group `xmarl_bench.explainers`, name -> an `Explainer` of the same name, or
-anything that `as_explainer` makes one of; and whatever `path/to/file.py:Name` or `module:Name` names.
+anything that `as_explainer` accepts; also `path/to/file.py:Name` and `module:Name`.
 Policies: entry points in group `xmarl_bench.policies`, each -> a function without arguments that returns
 {policy name: folder of its bundle, or a function without arguments that returns a `PolicyModule`}. A plugin
-that fails to load raises, with its name.
+that fails to load raises an error with its name.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class PolicyCode:
         return self.plugin.value
 
     def open(self, name: str) -> tuple[Policy, PolicyCard]:
-        """Run the factory. Raises InputError where it gives no policy of that name."""
+        """Run the factory. Raises InputError if it returns no policy of that name."""
         made = _made(self.factory, name)
         if made.name != name:
             raise InputError(
@@ -55,13 +55,12 @@ class PolicyCode:
 
 
 def explainer_names() -> list[str]:
-    """Controls first, then plugins by name; nothing is loaded."""
+    """Controls first, then plugins by name. Loads nothing."""
     return [*CONTROLS, *sorted(_explainer_plugins())]
 
 
 def find_explainer(name: str) -> Explainer:
-    """One explainer and its origin, by its name, or by `path/to/file.py:Name` or `module:Name`, which runs
-    that code.
+    """An explainer with its origin, by its name or by `path/to/file.py:Name` or `module:Name`. Runs its code.
 
     Raises InputError for an unknown name, and for a plugin or a file that does not load.
     """
@@ -78,7 +77,7 @@ def find_explainer(name: str) -> Explainer:
     try:
         explainer = as_explainer(thing)
     except InputError as error:
-        raise InputError(f"{what} cannot be taken: {error}") from None
+        raise InputError(f"{what} cannot be used: {error}") from None
     if not is_reference(name):
         if not isinstance(thing, Explainer):  # it has no name of its own
             explainer = replace(explainer, name=name)
@@ -88,7 +87,7 @@ def find_explainer(name: str) -> Explainer:
 
 
 def checked_name(explainer: Explainer) -> Explainer:
-    """Raises InputError for a name that is not fit for files, or that of a control."""
+    """The explainer. Raises InputError if its name is unsafe in file names or that of a control."""
     name = explainer.name
     if not NAME.match(name):
         raise InputError(f"explainer name {name!r} cannot be part of a file name: use a-z, 0-9, . _ and -.")
@@ -99,7 +98,7 @@ def checked_name(explainer: Explainer) -> Explainer:
 
 
 def find_policies() -> dict[str, Path]:
-    """Every registered policy that is a bundle: name -> its folder, by name.
+    """Every registered policy that is a bundle: name -> its folder, sorted by name.
 
     Raises InputError if a plugin does not load.
     """
@@ -112,7 +111,7 @@ def find_policies() -> dict[str, Path]:
 def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyCard]:
     """A policy by its name, by the folder or zip of its bundle, or by `module:factory` of its code.
 
-    Raises InputError for whatever is not one, and for code without `trust_code`.
+    Raises InputError if there is no such policy, and for code without `trust_code`.
     """
     if _is_bundle(name):
         return load_policy(Path(name))
@@ -138,14 +137,14 @@ def find_policy(name_or_bundle: str) -> Path:
 
 
 def _is_bundle(name: str) -> bool:
-    """What holds a card is a bundle, and so is what looks like a path and names no code."""
+    """Whether `name` is a folder with a card, or looks like a path and not like a reference to code."""
     path = Path(name)
     looks_like_one = len(path.parts) > 1 or path.suffix == ".zip"
     return (path / CARD).is_file() or (looks_like_one and not is_reference(name))
 
 
 def _registered_policy(name: str) -> Path | PolicyCode:
-    """A plugin that does not load may have registered any name, but stands in the way of no other."""
+    """A registered policy. Raises InputError for an unknown name: of a plugin that failed to load, if any."""
     policies, failures = registered_policies()
     if name in policies:
         return policies[name]
@@ -155,9 +154,9 @@ def _registered_policy(name: str) -> Path | PolicyCode:
 
 
 def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError]]:
-    """Every registered policy by name, and why the plugins that did not load did not.
+    """Every registered policy by name, and the errors of the plugins that failed to load.
 
-    Raises InputError where two policies have one name.
+    Raises InputError if two policies have the same name.
     """
     found: dict[str, Path | PolicyCode] = {}
     failures: list[InputError] = []
@@ -190,16 +189,16 @@ def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
 def _check_trust(name: str, trust_code: bool) -> None:
     if not trust_code:
         raise InputError(
-            f"policy {name!r} runs code of its own: read it, and add --trust-code (trust_code=True) if you "
+            f"policy {name!r} runs its own code: read it, and add --trust-code (trust_code=True) if you "
             f"trust it."
         )
 
 
 def _made(factory: object, name: str) -> PolicyModule:
-    """What the factory returns. Raises InputError for an error inside it and for anything else."""
+    """What the factory returns. Raises InputError if it fails or returns anything but a PolicyModule."""
     if not callable(factory):
         raise InputError(
-            f"policy {name!r} is a {type(factory).__name__}: name a function that returns a PolicyModule."
+            f"policy {name!r} is a {type(factory).__name__}: give a function that returns a PolicyModule."
         )
     try:
         made = factory()
@@ -211,7 +210,7 @@ def _made(factory: object, name: str) -> PolicyModule:
         ) from error
     if not isinstance(made, PolicyModule):
         raise InputError(
-            f"policy {name!r} is a {type(made).__name__}: let its factory return a PolicyModule."
+            f"policy {name!r} is a {type(made).__name__}: make its factory return a PolicyModule."
         )
     return made
 

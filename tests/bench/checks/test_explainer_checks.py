@@ -39,7 +39,9 @@ def found(thing: object, *only: str, **declared: Any) -> dict[str, Finding]:
 
 
 def failed(thing: object, *only: str, **declared: Any) -> dict[str, str]:
-    return {name: each.said for name, each in found(thing, *only, **declared).items() if each.passed is False}
+    return {
+        name: each.message for name, each in found(thing, *only, **declared).items() if each.passed is False
+    }
 
 
 def attended(observations: Tensor, policy: Policy) -> Tensor:
@@ -57,7 +59,7 @@ def test_what_is_right_passes() -> None:
     assert failed(lambda observations: torch.ones(len(observations), len(observations)), batched=False) == {}
     signed = found(lambda observations: observations @ observations.mT, signed=True)
     assert all(each.passed for each in signed.values()), signed
-    assert "normalised by the harness" in signed["range"].said
+    assert "normalised by the harness" in signed["range"].message
     one = found(noisy, stochastic=True)
     assert all(each.passed is not False for each in one.values())
     assert one["order of timesteps"].passed is None
@@ -67,7 +69,7 @@ def test_what_is_right_passes() -> None:
 def test_masks_that_are_none_fail_where_they_are_wrong(name: str) -> None:
     findings = found(BAD[name])
     first = next(each for each in findings.values() if each.passed is False)
-    assert repr(name) in first.said
+    assert repr(name) in first.message
     where = {"nan": "finiteness", "late-nan": "finiteness", "infinite": "finiteness", "too-large": "range",
              "negative": "range"}  # fmt: skip
     assert first.check == where.get(name, "shape")
@@ -138,7 +140,7 @@ def slow(observations: Tensor, policy: Policy) -> Tensor:
 @pytest.mark.parametrize(
     ("thing", "check", "said"),
     [
-        (count, "same seed, same mask", "keep nothing between calls"),
+        (count, "same seed, same mask", "keep no state between calls"),
         (noisy, "another seed", "declare stochastic = True"),
         (zeroed, "policy untouched", "weights"),
         (hooked, "policy untouched", "hooks"),
@@ -174,8 +176,8 @@ def test_memory_is_measured_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None
     def hungry(observations: Tensor, policy: Policy) -> Tensor:
         return policy.attention(observations) + 0 * torch.ones(64, 1024, 1024).sum()  # 256 MB
 
-    said = found(hungry, "memory")["memory"].said
-    if "does not tell" in said:
+    said = found(hungry, "memory")["memory"].message
+    if "does not report" in said:
         pytest.skip(said)
     assert 230 < float(said.split()[0]) < 400
     monkeypatch.setattr("xmarl_bench.checks.explainer_checks.MAX_MEMORY_MB", 100.0)
@@ -197,7 +199,7 @@ def test_settings_kept_on_a_class_of_pyg_are_no_business_of_the_policy() -> None
 def test_another_process_gives_the_same_mask() -> None:
     assert failed(attended, PROCESS) == {}
     by_process = as_explainer(lambda observations: torch.full((len(observations), 3, 3), 1 / os.getpid()))
-    assert "another process gives another mask" in failed(by_process, PROCESS)[PROCESS]
+    assert "the mask differs in another process" in failed(by_process, PROCESS)[PROCESS]
     lock = threading.Lock()
     unsendable = as_explainer(lambda observations: observations @ observations.mT * lock.locked())
     assert "cannot be sent to a worker process" in failed(unsendable, PROCESS)[PROCESS]

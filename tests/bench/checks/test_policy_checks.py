@@ -29,7 +29,7 @@ def failed(policy: Policy, *only: str) -> dict[str, str]:
     chosen = {name: CHECKS[name] for name in only or CHECKS if only or name != PLAYED}
     with torch.no_grad():
         found = list(run_checks(chosen, PolicySubject(policy, CELL, states, 2)))
-    return {each.check: each.said for each in found if each.passed is False}
+    return {each.check: each.message for each in found if each.passed is False}
 
 
 class Pilot(nn.Module):
@@ -66,7 +66,7 @@ class Pilot(nn.Module):
 def test_a_sound_policy_passes_every_check() -> None:
     found = list(check_policy(ModulePolicy(Pilot(), 6), CELL, timesteps=4, episodes=2))
     assert [each.check for each in found] == list(CHECKS)
-    assert [each.said for each in found if not each.passed] == []
+    assert [each.message for each in found if not each.passed] == []
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_weights_that_are_none_are_found() -> None:
     policy = ModulePolicy(Pilot(), 6)
     with torch.no_grad():
         policy.network.get_parameter("layer.bias").fill_(torch.nan)
-    assert "'network.layer.bias' first" in failed(policy)["finite weights"]
+    assert "the first is 'network.layer.bias'" in failed(policy)["finite weights"]
 
 
 @pytest.mark.slow

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.planted.families import CODES, CONTENT, FAMILIES, LEAK, Planted, planted
+from xmarl_bench.planted.families import CODES, CONTENT, FAMILIES, MATCH_GAP, Planted, planted
 
-TEAMS = [(family, n) for family, rule in FAMILIES.items() for n in (rule.fewest, 6, CODES)]
+TEAMS = [(family, n) for family, rule in FAMILIES.items() for n in (rule.min_agents, 6, CODES)]
 EACH = pytest.mark.parametrize(("family", "n_agents"), TEAMS)
 SMALL = 1e-4
 
@@ -91,7 +91,7 @@ def test_away_from_walls_nothing_is_read() -> None:
 def test_a_match_of_codes_is_told_by_what_the_leak_leaves() -> None:
     """One unit at 1 and the rest at -1, against two at 0 and the rest at -1, slope 0.2."""
     n = CODES
-    assert pytest.approx(1 - 0.2 * (n - 1) + 0.2 * (n - 2)) == LEAK
+    assert pytest.approx(1 - 0.2 * (n - 1) + 0.2 * (n - 2)) == MATCH_GAP
 
 
 def test_the_same_seed_gives_the_same_and_another_others() -> None:

@@ -15,7 +15,7 @@ from tests.conftest import RunCli
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.planted.families import FAMILIES, planted
-from xmarl_bench.planted.suite import Found, agreement, means_of, score_planted
+from xmarl_bench.planted.suite import PlantedScore, agreement, means_of, score_planted
 from xmarl_bench.planted.truth import auroc, average_precision
 from xmarl_bench.plugins.registry import find_explainer
 
@@ -67,7 +67,7 @@ def test_what_explainers_are_good_and_bad_at_by_design() -> None:
     names = ("attention", "occlusion", "shapley")
     found = score_planted([find_explainer(name) for name in names], sizes=[5], n_steps=30)
 
-    def of(family: str, explainer: str) -> Found:
+    def of(family: str, explainer: str) -> PlantedScore:
         return next(each for each in found if (each.family, each.explainer) == (family, explainer))
 
     assert of("redundant-pair", "occlusion").auroc == pytest.approx(0.5, abs=0.02)

@@ -41,12 +41,12 @@ def test_files_are_complete_and_well_formed(kind: str, run_cli: RunCli, tmp_path
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("1st", "names no package"),
-        ("My-Own", "names no package"),
-        ("../elsewhere", "names no package"),
-        ("class", "names no package"),
-        ("torch", "installed already"),
-        ("json", "installed already"),
+        ("1st", "is not a valid package name"),
+        ("My-Own", "is not a valid package name"),
+        ("../elsewhere", "is not a valid package name"),
+        ("class", "is not a valid package name"),
+        ("torch", "already installed"),
+        ("json", "already installed"),
     ],
 )
 def test_names_that_do_not_work_are_refused(name: str, said: str, run_cli: RunCli, tmp_path: Path) -> None:
@@ -60,5 +60,5 @@ def test_nothing_is_written_over(run_cli: RunCli, tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     ran = run_cli("new", "policy", "brand-new", "--out", tmp_path)
     assert ran.code == 2
-    assert "is there already" in ran.err
+    assert "already exists" in ran.err
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]

@@ -2,7 +2,7 @@
 
 The last axes are agents N and action entries A (or receivers and senders); leading axes are kept, so a
 metric of (T, N, A) arrays is (T,), one number per timestep, unless its docstring says that it pools them.
-NaN goes in, NaN comes out. Formulae and what they mean: docs/metrics.md.
+NaN in the input gives NaN in the result. Formulae and their meaning: docs/metrics.md.
 """
 
 from xmarl_bench.metrics.attention_distance import attention_distance

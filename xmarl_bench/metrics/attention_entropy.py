@@ -1,4 +1,4 @@
-"""How widely agents listen: the entropy of their attention."""
+"""The entropy of attention: how widely it spreads over senders."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 def attention_entropy(attention: NDArray[np.floating]) -> NDArray[np.float64]:
     """(S, N, N) attention, rows sum to 1 -> (S,) entropy in nats, mean over receivers.
 
-    0 where every agent listens to one sender alone (itself included), log N where to all alike. H of
-    Kailas et al. (ICML 2025), equation 1; 0 log 0 is 0.
+    0 if every agent attends to one sender only (possibly itself), log N if attention is uniform. H of Kailas
+    et al. (ICML 2025), equation 1; 0 log 0 is 0.
     """
     alpha = attention.astype(np.float64)
     terms = -alpha * np.log(np.where(alpha > 0, alpha, 1.0))

@@ -1,23 +1,23 @@
 """Budgeted fidelity: does a mask rank the edges well, whatever values it gives them?
 
-Keep the k highest edges of each row (binary; averaged over the choices among equal ones), FidDelta@k of that
-mask, and place it between a random ranking (0) and the best one (1), averaged over k = 1 .. M - 1 for M
-senders:
+FidDelta@k is FidDelta of the binary mask that keeps the k highest edges of each row (averaged over the
+choices among equal ones). It is scaled so that 0 is a random ranking and 1 the best one, and averaged over
+k = 1 .. M - 1 for M senders:
 
     mean over k of (FidDelta@k - random@k) / (oracle@k - random@k)
 
-random@k is the exact mean over all k-subsets, oracle@k the maximum over them, each receiver for itself. All
-three are averaged over agents and timesteps before dividing (a ratio of means). A k whose denominator is
-under 1e-3 action units has nothing to rank and is left out; where no k is left the metric is NaN.
+random@k is the exact mean over all k-subsets, oracle@k the maximum over them, for each receiver separately.
+All three are averaged over agents and timesteps before dividing (a ratio of means). A k whose denominator is
+below 1e-3 action units has nothing to rank and is skipped; if all are skipped, the metric is NaN.
 
 FidDelta of a row follows from a table of changes (R, S, N), R = 2^M: entry [r, s, i] is how much agent i's
 action at timestep s changes when the senders in the bits of r are kept and no others (explain/oracle.py).
 
-Where the policy's graph lacks edges (`edges`, (S, N, M), False), absent senders are never among the k: a
+If the policy's graph lacks edges (`edges`, (S, N, M), False), absent senders are never among the k: a
 receiver with P < k senders keeps all P, and subsets are those of its own senders.
 
-Communication-only: the agent's own edge is kept in subgraph and complement alike, so the senders are the
-M = N - 1 others, and k = 1 .. N - 2. It is the same computation on `others_table` and `other_senders`.
+Communication-only: subgraph and complement both keep the agent's own edge, so the senders are the M = N - 1
+others, and k = 1 .. N - 2. It is the same computation on `others_table` and `other_senders`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Edges = NDArray[np.bool_]  # (S, N, M); None stands for the complete graph
+Edges = NDArray[np.bool_]  # (S, N, M); None: the complete graph
 Item = TypeVar("Item", bound=np.generic)
-SMALLEST = 1e-3  # action units; under this a denominator is noise
+SMALLEST = 1e-3  # action units; a smaller denominator is noise
 
 
 def fid_delta_table(change: Floats) -> Floats:
@@ -41,10 +41,10 @@ def fid_delta_table(change: Floats) -> Floats:
 
 
 def choices(mask: NDArray[np.floating], edges: Edges | None = None) -> Floats:
-    """(S, N, M) -> (R, S, N): how often a row is what the mask keeps among rows of as many senders.
+    """(S, N, M) -> (R, S, N): the share of each row among the rows of k senders that the mask can keep.
 
-    1 for the row of the k highest senders, 0 for the others of k; where senders are equal, each way to choose
-    among them has the same share. Rows of absent senders have none.
+    1 for the row of the k highest senders, 0 for other rows of k senders. If senders are equal, each way to
+    choose among them has the same share. Rows with absent senders have share 0.
     """
     value = mask.astype(np.float64)
     allowed = _least_kept(value) >= _most_dropped(value if edges is None else np.where(edges, value, -np.inf))
@@ -66,9 +66,9 @@ def fid_delta_at_k(delta: Floats, share: Floats, edges: Edges | None = None) -> 
 
 
 def random_at_k(delta: Floats, edges: Edges | None = None) -> Floats:
-    """(R, S, N) -> (M - 1,): the mean over all k-subsets, what a random ranking gets in expectation.
+    """(R, S, N) -> (M - 1,): the mean over all k-subsets, the expectation for a random ranking.
 
-    It is what a mask gets whose edges are all equal, to the bit.
+    A mask whose edges are all equal gets the same value, bit for bit.
     """
     n_senders = len(delta).bit_length() - 1
     return fid_delta_at_k(delta, choices(np.zeros((*delta.shape[1:], n_senders)), edges), edges)
@@ -89,12 +89,12 @@ def oracle_at_k(delta: Floats, edges: Edges | None = None) -> Floats:
 def top_k_rows(mask: NDArray[np.floating], noise: Floats, edges: Edges | None = None) -> NDArray[np.int64]:
     """(S, N, M) -> (M - 1, S, N): one row of the k highest senders, k = 1 .. M - 1, for teams that act on it.
 
-    noise: (S, N, M), independent and uniform; decides between equal values of the mask. A row of more than
-    all P senders of a receiver has bits of absent ones too, which change nothing.
+    noise: (S, N, M), independent and uniform; breaks ties between equal values of the mask. If k exceeds a
+    receiver's P senders, the row holds bits of absent ones too, which change nothing.
     """
     value = mask.astype(np.float64)
     value = value if edges is None else np.where(edges, value, -np.inf)
-    order = np.lexsort((noise, -value), axis=-1)  # the last key is the first to count
+    order = np.lexsort((noise, -value), axis=-1)  # the last key is the primary one
     return np.moveaxis(np.cumsum(1 << order, axis=-1)[..., :-1], -1, 0)
 
 
@@ -110,7 +110,7 @@ def mask_of_senders(rows: NDArray[np.int64], senders: NDArray[np.bool_]) -> NDAr
 
 
 def budgeted_fidelity(explained: Floats, random: Floats, oracle: Floats) -> float:
-    """Three arrays (K,) -> one number; 0 is a random ranking, 1 the best, NaN where there is none to find."""
+    """Three arrays (K,) -> one number: 0 for a random ranking, 1 for the best; NaN if every k is skipped."""
     room = oracle - random
     if np.isnan(explained).any() or np.isnan(room).any() or not (room >= SMALLEST).any():
         return float("nan")
@@ -125,7 +125,7 @@ def over_absences(values: Sequence[float | None]) -> tuple[float, float]:
 
 
 def others_table(change: Floats) -> Floats:
-    """(2^N, S, N) -> (2^(N-1), S, N): the own edge always kept, rows over the others by rising number."""
+    """(2^N, S, N) -> (2^(N-1), S, N): rows over the other senders, the own edge kept; ascending order."""
     n_rows, _, n_agents = change.shape
     reduced = np.empty((n_rows // 2, *change.shape[1:]))
     r = np.arange(n_rows // 2)
@@ -136,26 +136,26 @@ def others_table(change: Floats) -> Floats:
 
 
 def other_senders(mask: NDArray[Item]) -> NDArray[Item]:
-    """(S, N, N) -> (S, N, N - 1): the mask without its diagonal, others by rising number."""
+    """(S, N, N) -> (S, N, N - 1): the mask without its diagonal, in ascending order of senders."""
     n_agents = mask.shape[-1]
     off_diagonal = ~np.eye(n_agents, dtype=bool)
     return mask[:, off_diagonal].reshape(len(mask), n_agents, n_agents - 1)
 
 
 def rows_within(n_rows: int, edges: Edges) -> NDArray[np.bool_]:
-    """(S, N, M) -> (R, S, N): which rows keep existing senders only."""
+    """(S, N, M) -> (R, S, N): whether a row keeps existing senders only."""
     return np.asarray((np.arange(n_rows)[:, None, None] & ~_bits(edges)) == 0)
 
 
 def _own_subsets(n_rows: int, edges: Edges) -> Iterator[NDArray[np.bool_]]:
-    """For k = 1 .. M - 1, (R, S, N): which rows keep min(k, P) of a receiver's own P senders."""
+    """For k = 1 .. M - 1, (R, S, N): whether a row keeps min(k, P) of a receiver's P senders."""
     within, size = rows_within(n_rows, edges), np.bitwise_count(np.arange(n_rows))[:, None, None]
     for k in range(1, edges.shape[-1]):
         yield within & (size == np.minimum(k, edges.sum(axis=-1)))
 
 
 def _least_kept(value: Floats) -> Floats:
-    """(S, N, M) -> (R, S, N): the smallest value that a row keeps; infinite where it keeps none."""
+    """(S, N, M) -> (R, S, N): the smallest value that a row keeps; infinite if it keeps none."""
     least = np.full((1, *value.shape[:-1]), np.inf)
     for each in np.moveaxis(value, -1, 0):
         least = np.concatenate([least, np.minimum(least, each)])
@@ -163,7 +163,7 @@ def _least_kept(value: Floats) -> Floats:
 
 
 def _most_dropped(value: Floats) -> Floats:
-    """(S, N, M) -> (R, S, N): the largest value that a row drops; -infinite where it drops none."""
+    """(S, N, M) -> (R, S, N): the largest value that a row drops; -infinite if it drops none."""
     most = np.full((1, *value.shape[:-1]), -np.inf)
     for each in np.moveaxis(value, -1, 0):
         most = np.concatenate([np.maximum(most, each), most])
@@ -171,7 +171,7 @@ def _most_dropped(value: Floats) -> Floats:
 
 
 def _bits(edges: Edges) -> NDArray[np.int64]:
-    """(S, N, M) -> (S, N): the row of all senders there are."""
+    """(S, N, M) -> (S, N): the row of all existing senders."""
     return np.asarray((edges.astype(np.int64) << np.arange(edges.shape[-1])).sum(axis=-1))
 
 

@@ -1,4 +1,4 @@
-"""Fidelity: does keeping what the mask marks keep the action, and does dropping it change the action?
+"""Fidelity: does keeping the explanation preserve the action, and does dropping it change the action?
 
 Source: Amara et al. (LoG 2022), as used for actions by Kailas et al. (ICML 2025). With F_i the
 deterministic action of agent i and d_i(m) = mean over action entries of |F_i(1) - F_i(m)|:
@@ -22,8 +22,8 @@ Floats = NDArray[np.float64]
 class Fidelity(NamedTuple):
     """One number per leading index of the actions."""
 
-    plus: Floats  # (...) how much the action changes without what the mask marks: higher is better
-    minus: Floats  # (...) how much it changes with nothing but that: lower is better
+    plus: Floats  # (...) how much the action changes without the explanation: higher is better
+    minus: Floats  # (...) how much it changes with the explanation alone: lower is better
     delta: Floats  # (...) plus - minus
 
 

@@ -1,6 +1,6 @@
-"""Mask mass: how much of the graph a mask keeps. Not a score, but what FidDelta must be read beside.
+"""Mask mass: how much of the graph a mask keeps. Not a score: read it together with FidDelta.
 
-Part of many a "better" FidDelta is a mask that keeps more: the mask of ones has mass 1.
+A mask that keeps more often has a higher FidDelta: the mask of ones has mass 1.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 
 def mask_mass(mask: NDArray[np.floating], edges: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-    """(..., N, N) -> (...): the mean of the mask over all edges, the agents' own among them.
+    """(..., N, N) -> (...): the mean of the mask over all edges, including the agents' own.
 
-    edges: (..., N, N), which ones the graph has; None is all. NaN where it has none.
+    edges: (..., N, N), the edges of the graph, None for all. NaN if the graph has no edge.
     """
     kept = mask.astype(np.float64)
     if edges is None:

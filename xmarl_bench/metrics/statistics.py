@@ -1,10 +1,10 @@
-"""Is one list of values better than another, and how surely? Pure functions of arrays.
+"""Compares lists of values, with intervals and p-values. Pure functions of arrays.
 
-The unit of a statement about one policy is the episode, for timesteps of an episode are autocorrelated. The
-unit of a statement about a cell or an architecture is the training run: what one policy shows on many
-episodes is still one policy. Intervals are Student's over units: with three runs a percentile bootstrap
-covers 72 to 86 % where 95 % is claimed, and episodes of different runs, pooled, are no sample of anything.
-Values that are not a number are left out and counted, never filled in.
+A statement about one policy has episodes as units, because the timesteps of an episode are autocorrelated. A
+statement about a cell or an architecture has training runs as units: many episodes of one policy are still
+one policy. Intervals are Student's over units: with three runs, a 95 % percentile bootstrap covers only 72 to
+86 %, and pooled episodes of different runs are not a sample of one population. Values that are not a number
+are skipped and counted, never filled in.
 
 Sources: Student (1908); Efron and Tibshirani, "An Introduction to the Bootstrap" (1993), percentile interval
 of an entry's means; Holm (1979); Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
@@ -33,16 +33,16 @@ CHUNK = 1_000_000  # numbers drawn at once: bounds memory; every array of 200 ep
 class Difference:
     """Mean of a - b over pairs, with Student's interval over units."""
 
-    value: float | None  # None where no pair is left
+    value: float | None  # None if no pair is left
     interval: tuple[float, float] | None  # None for fewer than two units
     p: float | None  # of the paired t-test, two-sided; None for fewer than two units
     units: int  # training runs, or the episodes of a single one
     n: int  # pairs of episodes
-    n_nan: int  # pairs left out, for one of the two is not a number
+    n_nan: int  # pairs skipped because one of the two is not a number
 
     @property
     def holds_zero(self) -> bool:
-        """Whether nothing speaks for a difference: 0 is in the interval, or there is no interval."""
+        """Whether the data show no difference: 0 is in the interval, or there is no interval."""
         return self.interval is None or self.interval[0] <= 0.0 <= self.interval[1]
 
 
@@ -51,7 +51,7 @@ def over_runs(
 ) -> Difference:
     """Mean over runs of the mean of a - b over their episodes: one array (E_g,) per run; the run is the unit.
 
-    A run without a complete pair is left out. Raises InputError where arrays are no pairs.
+    Skips runs without a complete pair. Raises InputError if the arrays are not pairs.
     """
     runs, n_nan = _pairs(a, b)
     means = np.array([run.mean() for run in runs])
@@ -61,7 +61,7 @@ def over_runs(
 def over_units(
     a: Sequence[ArrayLike], b: Sequence[ArrayLike], *, confidence: float = CONFIDENCE
 ) -> Difference:
-    """As `over_runs`, but of a single run a statement about it alone, with its episodes as units."""
+    """As `over_runs`; a single run gives a statement about this run alone, with its episodes as units."""
     if len(a) != 1:
         return over_runs(a, b, confidence=confidence)
     runs, n_nan = _pairs(a, b)
@@ -71,7 +71,7 @@ def over_units(
 
 def student_interval(units: Floats, confidence: float = CONFIDENCE) -> tuple[Floats, Floats]:
     """(..., U) -> low and high (...) of the mean over the last axis, for two units or more."""
-    from scipy.special import stdtrit  # here, for whoever only reads entries need not wait for scipy
+    from scipy.special import stdtrit  # imported lazily: reading entries does not need scipy
 
     n = units.shape[-1]
     mean = units.sum(axis=-1) / n
@@ -82,7 +82,7 @@ def student_interval(units: Floats, confidence: float = CONFIDENCE) -> tuple[Flo
 def student_p(units: Floats) -> Floats:
     """(..., U) -> (...): two-sided p of a mean of 0 over the last axis, for two units or more.
 
-    Units that are all alike are 0 or are not: p is 1 or 0.
+    If all units are equal, p is 1 if they are 0, and 0 otherwise.
     """
     from scipy.special import stdtr
 
@@ -96,7 +96,7 @@ def student_p(units: Floats) -> Floats:
 def percentile_interval(
     x: Floats, rng: np.random.Generator, *, resamples: int = RESAMPLES, confidence: float = CONFIDENCE
 ) -> tuple[float, float]:
-    """(E,) -> percentile bootstrap interval of the mean, which stays within the range of the values."""
+    """(E,) -> percentile bootstrap interval of the mean. It stays within the range of the values."""
     means = np.empty(resamples)
     step = max(1, CHUNK // x.size)
     for first in range(0, resamples, step):
@@ -106,7 +106,7 @@ def percentile_interval(
 
 
 def percentiles(samples: Floats, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """The central interval that holds that share of the samples."""
+    """The central interval that holds a share `confidence` of the samples."""
     tail = (1.0 - confidence) / 2
     low, high = np.quantile(samples, [tail, 1.0 - tail])
     return float(low), float(high)
@@ -131,7 +131,7 @@ def holm(p: ArrayLike) -> Floats:
 
 
 def rank_biserial(a: ArrayLike, b: ArrayLike) -> float | None:
-    """Share of pairs (x of a, y of b) with x > y, less that with x < y: in [-1, 1]. None without a number."""
+    """Share of pairs (x of a, y of b) with x > y, less that with x < y: in [-1, 1]. None without numbers."""
     x, y = _numbers(a), _numbers(b)
     if not x.size or not y.size:
         return None
@@ -142,14 +142,14 @@ def rank_biserial(a: ArrayLike, b: ArrayLike) -> float | None:
 
 
 def interquartile_mean(x: ArrayLike) -> float:
-    """Mean of the middle half of the values: a quarter of them, rounded down, is cut off at each end."""
+    """Mean of the middle half of the values: cuts off a quarter of them, rounded down, at each end."""
     ordered = np.sort(_numbers(x))
     cut = ordered.size // 4
     return float(ordered[cut : ordered.size - cut].mean()) if ordered.size else math.nan
 
 
 def probability_of_improvement(a: Mapping[str, Sequence[float]], b: Mapping[str, Sequence[float]]) -> float:
-    """Cell -> scores of its runs, for two competitors: P(a run of a is better than one of b), ties half.
+    """Cell -> scores of its runs, for two competitors: P(a run of a beats a run of b), ties count half.
 
     Mean over cells of all pairs of runs within a cell.
     """
@@ -158,8 +158,11 @@ def probability_of_improvement(a: Mapping[str, Sequence[float]], b: Mapping[str,
 
 
 def groups_by_head(n: int, tied: Callable[[int, int], bool]) -> list[int]:
-    """The group, from 0, of each of n in order: the first heads group 0, and one that is not `tied` to the
-    head of the group before it heads the next. Every one but the first is asked about once, in order."""
+    """Groups n ordered items: returns the number of each item's group, from 0.
+
+    The first item heads group 0. An item that is not `tied` to the head of the current group heads the next
+    one. `tied` is called once for every item but the first, in order.
+    """
     groups, head = [0] * min(n, 1), 0
     for k in range(1, n):
         if tied(head, k):
@@ -185,15 +188,17 @@ def _standard_error(units: Floats) -> Floats:
 
 
 def _pairs(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> tuple[list[Floats], int]:
-    """a - b of each run without what is not a number, and how many that were; runs with nothing left go."""
+    """a - b of each run where both are numbers, and the number of other pairs. Skips runs without pairs."""
     if len(a) != len(b):
-        raise InputError(f"values of {len(a)} and of {len(b)} policies are no pairs: give the same policies.")
+        raise InputError(
+            f"{len(a)} policies cannot be paired with {len(b)}: give values of the same policies."
+        )
     runs, n_nan = [], 0
     for one, other in zip(a, b, strict=True):
         x, y = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
         if x.shape != y.shape or x.ndim != 1:
             raise InputError(
-                f"values of shapes {x.shape} and {y.shape} are no pairs: give the same episodes."
+                f"values of shapes {x.shape} and {y.shape} cannot be paired: give the same episodes."
             )
         difference = (x - y)[~np.isnan(x - y)]
         n_nan += x.size - difference.size

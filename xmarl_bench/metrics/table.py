@@ -1,8 +1,8 @@
-"""The table of metrics: a row each. Everything else that names metrics derives from it.
+"""The table of metrics, one row each. Everything else that lists metrics derives from it:
 
-The entry's models, the protocol's definitions, what is compared, the board's columns, the tables of the
-commands, why a metric was not measured, and the tables of docs/metrics.md. To add a metric write its
-function, its row here, and the line that computes it (`xmarl_bench/scoring/states.py` for one of a mask).
+the entry's models, the protocol's definitions, comparisons, the board's columns, the tables of the commands,
+the reasons why a metric was not measured, and the tables of docs/metrics.md. To add a metric, write its
+function, its row here, and the line that computes it (for a mask: in `xmarl_bench/scoring/states.py`).
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ class Group(StrEnum):
     """What a metric is measured on."""
 
     EXPLANATION = "of an explanation"  # a mask, on the states of an episode
-    BEHAVIOUR = "of behaviour"  # the team, rolled out on the explanation and on the rest
+    BEHAVIOUR = "of behaviour"  # the team, rolled out on the explanation and on its complement
     SANITY = "of an explainer's sanity"
     POLICY = "of the policy"
-    GAIN = "of what its messages are worth"
+    GAIN = "of the gain from messages"
     TASK = "of the task"
 
 
@@ -40,7 +40,7 @@ class Direction(StrEnum):
 
 
 class Need(StrEnum):
-    """What must be there to measure a metric; `xmarl_bench.scoring.not_measured` says what is missing."""
+    """What a metric needs to be measured; `xmarl_bench.scoring.not_measured` states what is missing."""
 
     TWO_AGENTS = "2 agents"
     THREE_AGENTS = "3 agents"
@@ -55,11 +55,11 @@ class Need(StrEnum):
 
 @dataclass(frozen=True)
 class Range:
-    """Values that a metric can have; None is unbounded."""
+    """The values that a metric can have; None: unbounded."""
 
     low: float | None = None
     high: float | None = None
-    least: float | None = None  # accepted in practice, where there is no `low`
+    least: float | None = None  # the smallest value accepted, if there is no `low`
 
     @property
     def text(self) -> str:
@@ -72,30 +72,30 @@ class Range:
 
 SHARE, CHANGE, DELTA, CORRELATION = Range(0, 1), Range(0, 2), Range(-2, 2), Range(-1, 1)
 NOT_NEGATIVE, ANY = Range(0), Range()
-# 1 is the best ranking; the worst is unbounded but for the smallest denominator, 1e-3 action units.
+# 1 is the best ranking; only the smallest denominator, 1e-3 action units, bounds the worst.
 BUDGETED = Range(high=1, least=-4000)
 
 
 @dataclass(frozen=True)
 class Metric:
-    name: str  # in entries
-    title: str  # in prose
-    meaning: str  # in a line
-    definition: str | None  # of the protocol: scores depend on every word. None: see FAMILIES
+    name: str  # key in entries
+    title: str  # name in prose
+    meaning: str  # one line
+    definition: str | None  # part of the protocol: scores depend on every word. None: see FAMILIES
     group: Group
     range: Range
     direction: Direction = Direction.NONE
     unit: str = ""
     needs: tuple[Need, ...] = ()  # the first that is missing is the reason given
-    heading: str = ""  # of a column; "" is the title
-    column: int | None = None  # of the board, smaller ones first; None is not shown there
-    short: str | None = None  # heading on a terminal; None is not shown there
-    digits: int = 3  # after the point, for people
-    in_paper: bool = False  # one of the paper's four: beside the order in every ranking
+    heading: str = ""  # of a column; "": the title
+    column: int | None = None  # order of the board's columns, smaller first; None: not shown there
+    short: str | None = None  # heading on a terminal; None: not shown there
+    digits: int = 3  # shown after the decimal point
+    in_paper: bool = False  # one of the paper's four metrics, which every ranking shows
 
     @property
     def nullable(self) -> bool:
-        """Whether an entry may lack it as a whole, saying why."""
+        """Whether an entry may lack the metric, with a reason."""
         return bool(self.needs) or self.group is Group.SANITY
 
     @property
@@ -104,11 +104,11 @@ class Metric:
 
 
 HIGHER, LOWER = Direction.HIGHER, Direction.LOWER
-ORDER: Final = "message_fidelity"  # what the leaderboard is ordered by
-# Communication-only budgeted fidelity under each absence model, zero first: what the order is the mean of.
+ORDER: Final = "message_fidelity"  # the leaderboard's order
+# Communication-only budgeted fidelity under each absence model, zero first: `ORDER` is their mean.
 UNDER_ABSENCES: Final = tuple(f"{absence.prefix}_budgeted_fidelity" for absence in Absence)
 SUCCESS: Final = "success_rate"
-GAINS: Final = {"success_gain": "success_rate", "reward_gain": "reward"}  # of which metric
+GAINS: Final = {"success_gain": "success_rate", "reward_gain": "reward"}  # gain -> task metric
 
 FAMILIES: Final = {
     "comm_*": "the same with every agent's own edge kept in subgraph and complement alike, so that messages "
@@ -122,7 +122,7 @@ def _communication(base: Metric, column: int | None = None, short: str | None = 
         name=f"comm_{base.name}",
         title=f"communication-only {base.title}",
         heading=f"comm. {base.heading or base.title}",
-        meaning=f"{base.title}, every agent's own edge kept",
+        meaning=f"{base.title} with every agent's own edge kept",
         definition=None,
         needs=tuple(Need.THREE_AGENTS if each is Need.TWO_AGENTS else each for each in base.needs),
         column=column,
@@ -132,7 +132,7 @@ def _communication(base: Metric, column: int | None = None, short: str | None = 
 
 
 def _under(absence: str, meaning: str) -> Metric:
-    """Budgeted fidelity under another absence model than zero."""
+    """Budgeted fidelity under an absence model other than zero."""
     return Metric(
         f"{absence}_budgeted_fidelity", f"budgeted fidelity, {absence}", meaning,
         f"comm_budgeted_fidelity under the absence model {absence}", Group.EXPLANATION, BUDGETED, HIGHER,
@@ -141,11 +141,11 @@ def _under(absence: str, meaning: str) -> Metric:
 
 
 _FID_PLUS = Metric(
-    "fid_plus", "Fid+", "what is lost without the explanation", "mean over agents of d_i(1 - m)",
+    "fid_plus", "Fid+", "change of the action without the explanation", "mean over agents of d_i(1 - m)",
     Group.EXPLANATION, CHANGE, HIGHER, "action", column=3, short="Fid+", in_paper=True,
 )  # fmt: skip
 _FID_MINUS = Metric(
-    "fid_minus", "Fid-", "what is lost with nothing but the explanation",
+    "fid_minus", "Fid-", "change of the action with the explanation alone",
     "mean over agents of d_i(m), d_i(m) = mean over action entries of |F_i(1) - F_i(m)|",
     Group.EXPLANATION, CHANGE, LOWER, "action", heading="Fid\u2212", column=3, short="Fid-", in_paper=True,
 )  # fmt: skip
@@ -154,7 +154,7 @@ _FID_DELTA = Metric(
     Group.EXPLANATION, DELTA, HIGHER, "action", column=3, short="FidDelta", in_paper=True,
 )  # fmt: skip
 _GEF = Metric(
-    "gef", "GEF", "divergence of the action's distribution, squeezed into [0, 1]",
+    "gef", "GEF", "divergence of the action distribution, mapped to [0, 1]",
     "mean over agents of 1 - exp(-KL(F_i(1) || F_i(m))), diagonal Normals under the tanh, summed over "
     "action entries",
     Group.EXPLANATION, SHARE, LOWER, needs=(Need.DISTRIBUTION,), column=3, short="GEF", in_paper=True,
@@ -166,7 +166,7 @@ _TOPK_FID_DELTA = Metric(
     Group.EXPLANATION, DELTA, HIGHER, "action", (Need.TWO_AGENTS,),
 )  # fmt: skip
 _BUDGETED_FIDELITY = Metric(
-    "budgeted_fidelity", "budgeted fidelity", "FidDelta@k between a random ranking, 0, and the best, 1",
+    "budgeted_fidelity", "budgeted fidelity", "FidDelta@k, scaled: 0 is a random ranking, 1 the best",
     "(FidDelta@k - random@k) / (oracle@k - random@k), mean over k = 1 .. N - 1; random@k is the mean over "
     "all k-subsets of a row and oracle@k the maximum; each averaged over agents and timesteps of the "
     "episode before dividing; a k whose denominator is under 0.001 is left out, null where none is left",
@@ -179,7 +179,7 @@ METRICS: tuple[Metric, ...] = (
     _FID_DELTA,
     _GEF,
     Metric(
-        "median_kl", "median KL", "the divergence itself, for GEF saturates",
+        "median_kl", "median KL", "the divergence itself, because GEF saturates",
         "median of that KL over the agents and timesteps of an episode",
         Group.EXPLANATION, NOT_NEGATIVE, LOWER, "nats", (Need.DISTRIBUTION,), column=3,
     ),
@@ -196,8 +196,8 @@ METRICS: tuple[Metric, ...] = (
     _communication(_GEF, 3),
     _communication(_TOPK_FID_DELTA),
     _communication(_BUDGETED_FIDELITY, 2),
-    _under("mean", "communication-only, the mean message in place of those dropped"),
-    _under("resample", "communication-only, messages of another moment in place of those dropped"),
+    _under("mean", "communication-only, mean messages replace dropped ones"),
+    _under("resample", "communication-only, messages of other states replace dropped ones"),
     _under("renormalised", "communication-only, dropped edges leave the softmax"),
     Metric(
         "message_fidelity", "message fidelity",
@@ -214,35 +214,37 @@ METRICS: tuple[Metric, ...] = (
         short="smallest",
     ),
     Metric(
-        "success_on_explanation", "success on explanation", "success of a team that hears the explanation",
+        "success_on_explanation", "success on explanation",
+        "success of a team that hears the explanation only",
         "success_rate where the team communicates only along the k = floor((N - 1) / 2) highest messages of "
         "each row of the explanation of its own states; own edges are kept",
-        Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED,), column=3, short="success on it",
+        Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED,), column=3, short="success on mask",
     ),
     Metric(
-        "success_on_complement", "success on complement", "success of a team that hears the rest",
+        "success_on_complement", "success on complement",
+        "success of a team that hears the complement only",
         "the same, communicating only along the other messages",
-        Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3, short="on the rest",
+        Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3, short="on complement",
     ),
     Metric(
-        "reward_on_explanation", "reward on explanation", "reward of a team that hears the explanation",
+        "reward_on_explanation", "reward on explanation", "reward of a team that hears the explanation only",
         "reward of the team on the explanation",
         Group.BEHAVIOUR, ANY, HIGHER, "reward", (Need.PLAYED,),
     ),
     Metric(
-        "reward_on_complement", "reward on complement", "reward of a team that hears the rest",
+        "reward_on_complement", "reward on complement", "reward of a team that hears the complement only",
         "reward of the team on the complement",
         Group.BEHAVIOUR, ANY, LOWER, "reward", (Need.PLAYED,),
     ),
     Metric(
         "no_agent_collision_on_explanation", "collision-free on explanation",
-        "episodes without collision of a team that hears the explanation",
+        "episodes without collision of a team that hears the explanation only",
         "no_agent_collision of the team on the explanation",
         Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED,), column=3,
     ),
     Metric(
         "no_agent_collision_on_complement", "collision-free on complement",
-        "episodes without collision of a team that hears the rest",
+        "episodes without collision of a team that hears the complement only",
         "no_agent_collision of the team on the complement",
         Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3,
     ),
@@ -259,18 +261,18 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric(
         "weight_randomisation", "shuffled weights",
-        "rank correlation with the mask of a policy whose weights were shuffled; near 0 is right",
+        "rank correlation with the mask of a policy whose weights were shuffled; near 0 is good",
         "rank correlation of the mask with that of the policy whose parameter tensors have their entries "
         "shuffled",
         Group.SANITY, CORRELATION, LOWER, column=3,
     ),
     Metric(
-        "communication_dependence", "communication dependence", "what removing all messages changes",
+        "communication_dependence", "communication dependence", "change of the action without any messages",
         "mean over agents of d_i(identity): what removing all messages between agents changes",
         Group.POLICY, CHANGE, unit="action", column=3, short="communication dependence",
     ),
     Metric(
-        "attention_entropy", "attention entropy", "how evenly agents attend; log N is to all alike",
+        "attention_entropy", "attention entropy", "how evenly agents attend; log N is uniform",
         "mean over agents of the entropy of their attention, in nats",
         Group.POLICY, NOT_NEGATIVE, unit="nats", needs=(Need.ATTENTION,), column=3,
         short="attention entropy", digits=2,
@@ -295,7 +297,7 @@ METRICS: tuple[Metric, ...] = (
         Group.TASK, ANY, HIGHER, "reward", column=2, short="reward", digits=2,
     ),
     Metric(
-        "success_rate", "success rate", "who is at the goal in the end",
+        "success_rate", "success rate", "fraction of agents at the goal in the end",
         "fraction of agents at goal when the episode ends; discovery: 1 if found",
         Group.TASK, SHARE, HIGHER, column=1, short="success", digits=2,
     ),
@@ -310,7 +312,7 @@ METRICS: tuple[Metric, ...] = (
         Group.TASK, SHARE, HIGHER, needs=(Need.WALLS,), column=1, short="no wall contact", digits=2,
     ),
     Metric(
-        "makespan", "makespan", "how long it takes", "steps until done, max_cycles if never",
+        "makespan", "makespan", "length of the episode", "steps until done, max_cycles if never",
         Group.TASK, NOT_NEGATIVE, LOWER, "steps", column=1, short="makespan", digits=0,
     ),
 )  # fmt: skip
@@ -326,7 +328,7 @@ def names_of(*groups: Group) -> tuple[str, ...]:
 
 
 def columns_of(*groups: Group) -> tuple[Metric, ...]:
-    """Those that the board shows, in its order."""
+    """The metrics that the board shows, in its order."""
     shown = [(each.column, each) for each in metrics_of(*groups) if each.column is not None]
     return tuple(each for _, each in sorted(shown, key=lambda pair: pair[0]))
 

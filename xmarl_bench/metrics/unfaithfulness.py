@@ -4,9 +4,9 @@ Source: Agarwal et al. (GraphXAI, 2023), for action distributions as in Kailas e
 
     GEF = mean_i (1 - exp(-KL(F_i(1) || F_i(m)))).
 
-The KL is per agent, summed over action entries, in this direction. PyG and GraphXAI compute the reverse
-one; a joint KL over agents saturates as the team grows. It is taken between the diagonal Normals under the
-tanh, which equals that of the TanhNormals, for tanh is one-to-one.
+The KL is per agent, summed over action entries, in this direction. PyG and GraphXAI compute the reverse KL; a
+joint KL over agents saturates as the team grows. The diagonal Normals under the tanh have the same KL as the
+TanhNormals, because tanh is one-to-one.
 """
 
 from __future__ import annotations
@@ -31,5 +31,5 @@ def kl_divergence(
 
 
 def graph_explanation_unfaithfulness(kl: Floats) -> Floats:
-    """KL per agent (..., N) -> GEF (...) in [0, 1]; 0 where the mask changes nothing."""
+    """KL per agent (..., N) -> GEF (...) in [0, 1]; 0 if the mask changes nothing."""
     return np.asarray((-np.expm1(-kl)).mean(axis=-1))

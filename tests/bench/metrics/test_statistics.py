@@ -118,9 +118,9 @@ def test_the_percentile_interval_is_scipys_and_stays_in_the_range() -> None:
 
 
 def test_arrays_that_are_no_pairs_are_refused() -> None:
-    with pytest.raises(InputError, match="no pairs"):
+    with pytest.raises(InputError, match="cannot be paired"):
         over_units([[1.0, 2.0]], [[1.0, 2.0, 3.0]])
-    with pytest.raises(InputError, match="no pairs"):
+    with pytest.raises(InputError, match="cannot be paired"):
         over_runs([[1.0]], [[1.0], [2.0]])
 
 

@@ -2,7 +2,7 @@
 
     .venv/bin/python docs/make_metric_tables.py
 
-Run it after a row of the table was changed; tests/bench/metrics/test_table.py fails until then.
+Run it after a row of the table was changed; tests/docs/test_metrics_page.py fails until then.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ BEST = {Direction.HIGHER: "high", Direction.LOWER: "low", Direction.NONE: ""}
 
 
 def page(text: str) -> str:
-    """The page with its tables made anew."""
+    """The page with its tables replaced."""
     before, after = text.split(BEGIN)[0], text.split(END)[1]
     return before + BEGIN + "\n".join(map(section, Group)) + END + after
 

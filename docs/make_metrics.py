@@ -1,9 +1,9 @@
-"""Measures what docs/metrics.md shows: writes its table and docs/metrics.png.
+"""Measures the table of docs/metrics.md and draws docs/metrics.png.
 
     .venv/bin/python docs/make_metrics.py
 
-The default policy of each cell, its first 10 scoring episodes, every timestep. The random rankings are drawn
-from a fixed seed, so the same policies give the same table.
+For the default policy of each cell, on every timestep of its first 10 scoring episodes. Random rankings have
+fixed seeds, so the same policies give the same table.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ METRICS = ("fid_delta", "budgeted_fidelity", "message_fidelity", "mask_mass")
 
 
 def squeezed_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-    """The random mask, its values pressed into [0.9, 1]: the same ranking."""
+    """The random mask with its values mapped to [0.9, 1]: the same ranking."""
     return 0.9 + 0.1 * random_mask(policy, observations, generator)
 
 
@@ -56,7 +56,7 @@ Row = dict[str, float]
 
 
 def measure(folder: Path) -> tuple[str, dict[str, Row]]:
-    """A policy's task, and for each mask its metrics, means over episodes; the oracle last."""
+    """A policy's task, and for each mask, the oracle last, its metrics averaged over episodes."""
     policy, card = load_policy(folder)
     rows: dict[str, list[Row]] = defaultdict(list)
     with one_thread():
@@ -81,7 +81,7 @@ def measure(folder: Path) -> tuple[str, dict[str, Row]]:
 
 
 def table(measured: dict[str, list[dict[str, Row]]]) -> str:
-    """Markdown: per task and mask the mean over policies."""
+    """A Markdown table of means over policies, a row per task and mask."""
     lines = [
         "| task | mask | " + " | ".join(heading(name) for name in METRICS) + " |",
         "|---|---|" + "---|" * len(METRICS),
@@ -94,7 +94,7 @@ def table(measured: dict[str, list[dict[str, Row]]]) -> str:
 
 
 def draw(measured: dict[str, list[dict[str, Row]]], path: Path) -> None:
-    """A column per task: FidDelta as a share of the oracle's, budgeted fidelity below; dots are policies."""
+    """Draw a column per task: FidDelta as a share of the oracle's above, budgeted fidelity below."""
     figure, axes = plt.subplots(2, len(measured), figsize=(11, 6.2), sharey=True, layout="constrained")
     for column, (task, policies) in zip(axes.T, measured.items(), strict=True):
         names = list(MASKS)

@@ -1,6 +1,6 @@
-"""Makes docs/*.png, the pictures of README.md and envs/README.md: `.venv/bin/python docs/make_pictures.py`.
+"""Draws the pictures of README.md and envs/README.md in docs/: `.venv/bin/python docs/make_pictures.py`.
 
-All are the command line's: `xmarl-bench render --task ... --agents ...` draws the same episodes.
+`xmarl-bench render --task ... --agents ...` draws the same episodes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CELL, EXPLAINER = ("blind_discovery_v0", 3), "attention"  # its default policy w
 
 
 def moment(recording: Recording, cycle: int, explainer: Explainer | None = None) -> Image.Image:
-    """The picture after so many steps."""
+    """The picture after `cycle` steps."""
     track = recording.track
     reach = float(np.abs(track.scene().track).max()) + recording.task.radius
     mask = None if explainer is None else recording.explain(explainer, range(track.cycles))[cycle]
@@ -55,7 +55,7 @@ def heuristics() -> dict[str, Recording]:
 
 
 def explained() -> Image.Image:
-    """A policy's messages before and after one agent senses the landmark, and how it ends."""
+    """A policy's messages before and after an agent senses the landmark, and the end of the episode."""
     cards = default_policies(load_card(folder) for folder in shipped_policies().values())
     chosen = next(each for each in cards if (each.task, each.n_agents) == CELL)
     assert chosen.attention_entropy == 0  # default_policies sorts by it

@@ -2,7 +2,7 @@
 
     .venv/bin/python docs/make_ranking.py
 
-Run it when the board was built anew; tests/docs/test_readme.py fails until then.
+Run it after the board was built; tests/docs/test_readme.py fails until then.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ CONTROLS = {
 
 
 def section(ranking: dict[str, Any]) -> str:
-    """The explainers in order, and between them the controls to read them by."""
+    """The explainers and three controls in order."""
     ranked = [row for row in ranking["rows"] if row["rank"] is not None]
     alike = [row["explainer"] for row in ranked if row["tie_group"] == 1]
-    others = f", and {', '.join(alike[1:])} cannot be told from it" if alike[1:] else ""
+    others = f", without a significant difference to {', '.join(alike[1:])}" if alike[1:] else ""
     best = alike[0]
     answer = (
         f"**{best}** is first{others} (95 %, over {len(ranking['policies'])} policies). The nearest agent, "
-        f"whatever the policy, gets {_value(ranking, 'nearest'):.2f}, and the mask of ones "
-        f"{_value(ranking, 'all-ones'):.2f}, though its FidDelta is {_delta(ranking, 'all-ones'):.2f} "
+        f"which ignores the policy, gets {_value(ranking, 'nearest'):.2f}. The mask of ones gets "
+        f"{_value(ranking, 'all-ones'):.2f}, although its FidDelta is {_delta(ranking, 'all-ones'):.2f} "
         f"({best}: {_delta(ranking, best):.2f})."
     )
     lines = [
         *textwrap.wrap(answer, 118, break_on_hyphens=False),
         "",
-        f"Over the {len(ranking['policies'])} policies scored with them (`make board`), 0 is a random "
+        f"Means over the {len(ranking['policies'])} policies scored (`make board`); 0 is a random "
         "ranking of the messages and 1 the best one:",
         "",
         "| explainer | message fidelity | FidDelta |",
@@ -62,7 +62,7 @@ def _delta(ranking: dict[str, Any], name: str) -> float:
 
 
 def page(text: str, leaderboard: dict[str, Any]) -> str:
-    """The README with this part made anew, of the ranking over all tasks and team sizes."""
+    """The README with this part replaced by the ranking over all tasks and team sizes."""
     (ranking,) = (each for each in leaderboard["rankings"] if each["task"] is None)
     before, after = text.split(BEGIN)[0], text.split(END)[1]
     return before + BEGIN + section(ranking) + END + after

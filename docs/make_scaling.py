@@ -2,7 +2,7 @@
 
     .venv/bin/python docs/make_scaling.py
 
-Run it when entries were added or scored again; tests/docs/test_scaling_page.py fails until then.
+Run it after entries were added or scored again; tests/docs/test_scaling_page.py fails until then.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PRICE = 0.05  # US dollars for one rented core for one hour: an assumption, not 
 
 
 def section(entries: list[Entry]) -> str:
-    """The table of seconds per (policy, explainer), and what they come to for `POLICIES`."""
+    """The table of seconds per (policy, explainer), and the total for `POLICIES`."""
     by_explainer: dict[str, list[Entry]] = defaultdict(list)
     for entry in entries:
         by_explainer[_label(entry)].append(entry)
@@ -61,7 +61,7 @@ def section(entries: list[Entry]) -> str:
         f"A policy takes the sum of the means, {' + '.join(summands)} = {total:.0f} s.",
         f"{POLICIES:,} policies take {POLICIES:,} x {total:.0f} s / 3600 = {hours:,.0f} core-hours:",
         f"{hours / CORES:,.1f} hours on {CORES} cores, and {hours:,.0f} x {PRICE:.2f} = {hours * PRICE:,.0f} "
-        f"US dollars where a core costs {PRICE:.2f} an hour (assumed: put yours).",
+        f"US dollars if a core costs {PRICE:.2f} an hour (an assumption: insert your price).",
         "",
     ]
     return "\n".join(lines)
@@ -95,7 +95,7 @@ def _row(what: str, sizes: list[int], seconds: list[tuple[int, float]]) -> str:
 
 
 def page(text: str, entries: list[Entry]) -> str:
-    """`text` of the page with its measured part made anew."""
+    """`text` of the page with its measured part replaced."""
     before, after = text.split(BEGIN)[0], text.split(END)[1]
     return before + BEGIN + section(entries) + END + after
 

@@ -1,4 +1,4 @@
-"""Runs the notebooks of docs/notebooks and keeps what they print: `python docs/run_notebooks.py`."""
+"""Runs the notebooks of docs/notebooks and saves their outputs: `python docs/run_notebooks.py`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NOTEBOOKS = Path(__file__).parent / "notebooks"
 
 
 def run(path: Path) -> nbformat.NotebookNode:
-    """The notebook with its outputs, run in its own folder. Raises CellExecutionError where a cell fails."""
+    """Run a notebook in its folder; returns it with outputs. Raises CellExecutionError if a cell fails."""
     notebook: nbformat.NotebookNode = nbformat.read(path, as_version=4)
     client = NotebookClient(
         notebook, timeout=600, kernel_name="python3", record_timing=False,
@@ -21,7 +21,7 @@ def run(path: Path) -> nbformat.NotebookNode:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     client.execute()
     for cell in (cell for cell in notebook.cells if cell.cell_type == "code"):
-        # Warnings of libraries are this machine's.
+        # Libraries' warnings differ between machines.
         cell.outputs = [out for out in cell.outputs if out.get("name") != "stderr"]
     return notebook
 

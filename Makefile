@@ -16,8 +16,8 @@ OUT ?= results
 # policy but checkpoints along training. The team plays on the masks of attention alone, for to act on an explanation
 # asks for one at every step.
 ifdef ALL
-OTHERS := attention-rowmax gnn_explainer gnn_explainer-tuned gradient graphmask graphmask-pyg integrated_gradients \
-	occlusion shapley
+OTHERS := attention-rowmax gnn_explainer gnn_explainer-tuned gradient graphmask graphmask-pyg influence \
+	integrated_gradients occlusion shapley
 SCORE_OPTIONS ?= --policy finished --explainer all $(OTHERS:%=--no-behaviour %)
 else
 OTHERS := gnn_explainer graphmask

@@ -18,16 +18,25 @@ Floats = NDArray[np.float64]
 ACTIVATION: dict[str, Callable[[Floats], Floats]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
 
-def reference_distribution(policy: GraphPolicy, observation: Floats, mask: Floats) -> tuple[Floats, Floats]:
-    """(N, D) observations of one timestep, (N, N) mask -> loc (N, A), scale (N, A)."""
+def reference_distribution(
+    policy: GraphPolicy, observation: Floats, mask: Floats, said: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """(N, D) observations of one timestep, (N, N) mask -> loc (N, A), scale (N, A).
+
+    said: (N, D) other observations, of which the messages are that receivers hear; they attend as they did.
+    """
     weights = {key: tensor.double().numpy() for key, tensor in policy.state_dict().items()}
     architecture = policy.architecture
     n_agents = len(observation)
-    x = observation
-    for layer in range(len(architecture.encoder)):
-        x = _linear(weights, f"encoder.{2 * layer}", x)
-        x = ACTIVATION[architecture.encoder_activation](x)
+
+    def encoded(x: Floats) -> Floats:
+        for layer in range(len(architecture.encoder)):
+            x = ACTIVATION[architecture.encoder_activation](_linear(weights, f"encoder.{2 * layer}", x))
+        return x
+
+    x = encoded(observation)
     message = _linear(weights, "gat.lin_l", x)
+    heard = message if said is None else _linear(weights, "gat.lin_l", encoded(said))
     receiver = _linear(weights, "gat.lin_r", x)
     a = weights["gat.att"].reshape(-1)
     hidden = np.zeros((n_agents, architecture.gat_width))
@@ -39,7 +48,7 @@ def reference_distribution(policy: GraphPolicy, observation: Floats, mask: Float
         alpha = np.exp(scores - scores.max())
         alpha /= alpha.sum()
         for j in range(n_agents):
-            hidden[i] += mask[i, j] * alpha[j] * message[j]
+            hidden[i] += mask[i, j] * alpha[j] * heard[j]
     if architecture.residual:
         hidden += x @ weights["gat.res.weight"].T
     hidden = ACTIVATION[architecture.gat_activation](hidden + weights["gat.bias"])

@@ -6,8 +6,12 @@ import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from xmarl_bench.explain.explainer import Explainer
+from torch import Tensor
+
+from tests.helpers.policies import random_observations
+from xmarl_bench.explain.explainer import Explainer, fit_explainer
 from xmarl_bench.plugins.registry import EXPLAINERS
+from xmarl_bench.policy import Policy
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -21,3 +25,9 @@ def shipped_plugins() -> list[EntryPoint]:
 
 def shipped_explainers() -> list[Explainer]:
     return [plugin.load() for plugin in shipped_plugins()]
+
+
+def ready(explainer: Explainer, policy: Policy, observations: Tensor) -> Explainer:
+    """The explainer as scoring would run it on such observations (S, N, D): fitted where it needs that."""
+    _, n_agents, obs_dim = observations.shape
+    return fit_explainer(explainer, policy, random_observations(40, n_agents, obs_dim, 9), 0)

@@ -18,16 +18,17 @@ from xmarl_baselines.explainers import batching
 from xmarl_baselines.explainers.attention import attention
 from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
 from xmarl_baselines.explainers.graphmask_pyg import graphmask_pyg
+from xmarl_baselines.explainers.influence import influence
 
 from tests.baselines.reference import by_pyg
 from tests.helpers.deep_policies import Opened, one_layer, transformers, two_layers, with_a_lonely_timestep
 from tests.helpers.policies import random_observations, small_policy
-from tests.helpers.shipped import shipped_explainers, shipped_plugins
+from tests.helpers.shipped import ready, shipped_explainers, shipped_plugins
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.messages_only import SUFFIX
 from xmarl_bench.explain.pyg import PygExplain
-from xmarl_bench.policy import ModulePolicy, Policy
+from xmarl_bench.policy import GraphPolicy, ModulePolicy, Policy
 
 SHIPPED = shipped_explainers()
 # PyG's own, unmodified: the first leaves settings on its class for whoever comes next.
@@ -37,6 +38,23 @@ UNMODIFIED = [
     Explainer("graphmask of PyG", PygExplain(lambda: GraphMaskExplainer(1, 5, log=False))),
 ]
 each = pytest.mark.parametrize("explainer", SHIPPED, ids=lambda explainer: explainer.name)
+
+
+def made_ready(explainer: Explainer, policy: Policy, observations: Tensor) -> Explainer:
+    if explainer is influence and not isinstance(policy, GraphPolicy):
+        pytest.skip("it refuses policies whose coefficients are not known: see test_influence.py")
+    return ready(explainer, policy, observations)
+
+
+def run(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
+    """As scoring runs it, fitted where it needs that."""
+    return run_explainer(made_ready(explainer, policy, observations), policy, observations, seed)
+
+
+def straight(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
+    """Without the harness's own copies around it."""
+    explain = made_ready(explainer, policy, observations).explain
+    return explain(policy, observations, torch.Generator().manual_seed(seed))
 
 
 def everything_of(module: nn.Module) -> dict[str, Any]:
@@ -58,7 +76,7 @@ def test_there_is_a_file_for_every_explainer_and_a_paper_in_it() -> None:
     names = {explainer.name for explainer in SHIPPED}
     assert {name for name in names if not name.endswith(SUFFIX)} == {
         "attention", "attention-rowmax", "gnn_explainer", "gnn_explainer-tuned", "gradient", "graphmask",
-        "graphmask-pyg", "integrated_gradients", "occlusion", "shapley",
+        "graphmask-pyg", "influence", "integrated_gradients", "occlusion", "shapley",
     }  # fmt: skip
     for plugin in shipped_plugins():
         module = __import__(plugin.module, fromlist=["_"])
@@ -110,8 +128,7 @@ def test_an_explainer_leaves_no_trace(explainer: Explainer, policy: Policy) -> N
     with torch.no_grad():
         plain = policy.distribution(observations).loc
     before, coefficients = torch.random.get_rng_state(), copy.deepcopy(GraphMaskExplainer.coeffs)
-    # Straight, without the harness's own copies around it.
-    explainer.explain(policy, observations, torch.Generator().manual_seed(1))
+    straight(explainer, policy, observations, 1)
     assert torch.equal(torch.random.get_rng_state(), before)
     assert torch.equal(observations, seen)
     assert everything_of(policy) == state
@@ -123,20 +140,18 @@ def test_an_explainer_leaves_no_trace(explainer: Explainer, policy: Policy) -> N
 @each
 def test_an_explainer_repeats_and_only_the_stochastic_depend_on_the_seed(explainer: Explainer) -> None:
     policy, observations = small_policy(6, 3), random_observations(2, 3, 6)
-    first = run_explainer(explainer, policy, observations, 1)
+    first = run(explainer, policy, observations, 1)
     torch.manual_seed(99)  # the global state must not matter
-    assert torch.equal(first, run_explainer(explainer, policy, observations, 1))
+    assert torch.equal(first, run(explainer, policy, observations, 1))
     if not explainer.stochastic:
-        assert torch.equal(first, run_explainer(explainer, policy, observations, 2))
+        assert torch.equal(first, run(explainer, policy, observations, 2))
 
 
 @pytest.fixture(scope="module")
 def alone() -> dict[str, Tensor]:
     """What each explainer says on objects of its own."""
     return {
-        explainer.name: explainer.explain(
-            small_policy(6, 4, (8,)), random_observations(2, 3, 6), torch.Generator().manual_seed(5)
-        )
+        explainer.name: straight(explainer, small_policy(6, 4, (8,)), random_observations(2, 3, 6), 5)
         for explainer in [*SHIPPED, *UNMODIFIED]
     }
 
@@ -151,7 +166,7 @@ def test_no_explainer_leaks_into_the_next_whatever_the_order(
     assert (alone["pg"] - alone["pg, one large weight"]).abs().max() > 0.01  # so a leak would show
     policy, observations = small_policy(6, 4, (8,)), random_observations(2, 3, 6)
     for explainer in order:
-        mask = explainer.explain(policy, observations, torch.Generator().manual_seed(5))
+        mask = straight(explainer, policy, observations, 5)
         assert torch.equal(mask, alone[explainer.name]), explainer.name
 
 
@@ -161,10 +176,10 @@ def test_chunks_change_nothing_but_rounding(explainer: Explainer, monkeypatch: p
     if explainer is graphmask_pyg:
         pytest.skip("one rounding decides which side of the midpoint a gate is on, as in PyG itself")
     policy, observations = small_policy(6, 5), random_observations(7, 3, 6)
-    whole = run_explainer(explainer, policy, observations, 1)
+    whole = run(explainer, policy, observations, 1)
     monkeypatch.setattr(batching, "AGENTS_AT_ONCE", 6)
     assert len(list(batching.chunks(7, 3))) == 4
-    parts = run_explainer(explainer, policy, observations, 1)
+    parts = run(explainer, policy, observations, 1)
     assert not whole.isnan().any()
     torch.testing.assert_close(whole, parts, rtol=0, atol=1e-4)
 
@@ -172,10 +187,10 @@ def test_chunks_change_nothing_but_rounding(explainer: Explainer, monkeypatch: p
 @each
 def test_timesteps_do_not_see_one_another(explainer: Explainer) -> None:
     policy, observations = small_policy(6, 3), random_observations(3, 3, 6)
-    one = run_explainer(explainer, policy, observations, 1)
+    one = run(explainer, policy, observations, 1)
     changed = observations.clone()
     changed[0] += 1.0
-    two = run_explainer(explainer, policy, changed, 1)
+    two = run(explainer, policy, changed, 1)
     assert torch.equal(one[1:], two[1:])
 
 
@@ -184,8 +199,8 @@ def test_timesteps_do_not_see_one_another(explainer: Explainer) -> None:
 @each
 def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer, residual: bool) -> None:
     policy, observations = small_policy(6, 6, residual=residual), random_observations(4, 3, 6)
-    fast = run_explainer(explainer, policy, observations, 3)
-    generic = run_explainer(explainer, ModulePolicy(Opened(policy), 6), observations, 3)
+    fast = run(explainer, policy, observations, 3)
+    generic = run(explainer, ModulePolicy(Opened(policy), 6), observations, 3)
     # Small changes of actions, divided by the largest of a row, show float32's rounding.
     torch.testing.assert_close(fast, generic, rtol=0, atol=1e-4)
 
@@ -196,7 +211,7 @@ def test_agents_that_hear_nobody_get_rows_of_zeros(explainer: Explainer) -> None
     policy, observations, edges = with_a_lonely_timestep()
     assert not edges[1].any()
     assert edges.any()
-    mask = run_explainer(explainer, policy, observations, 3)
+    mask = run(explainer, policy, observations, 3)
     assert not mask[~edges].any()
 
 
@@ -208,9 +223,9 @@ def test_policies_without_attention_are_explained_by_all_that_need_none(explaine
         policy = ModulePolicy(GraphConv(6, 4), 6)
     if explainer.name in ("attention", "attention-rowmax"):
         with pytest.raises(InputError, match="no layer that attends"):
-            run_explainer(explainer, policy, random_observations(2, 3, 6), 3)
+            run(explainer, policy, random_observations(2, 3, 6), 3)
     else:
-        run_explainer(explainer, policy, random_observations(2, 3, 6), 3)
+        run(explainer, policy, random_observations(2, 3, 6), 3)
 
 
 @pytest.mark.slow
@@ -220,12 +235,12 @@ def test_policies_beyond_the_fast_path_are_explained(explainer: Explainer, polic
     observations = random_observations(2, 3, 6)
     if explainer is graphmask_pyg and "Transformer" in str(policy):
         with pytest.raises(InputError, match="TransformerConv"):  # PyG's own does not work there
-            run_explainer(explainer, policy, observations, 3)
+            run(explainer, policy, observations, 3)
         return
-    mask = run_explainer(explainer, policy, observations, 3)
+    mask = run(explainer, policy, observations, 3)
     changed = observations.clone()
     changed[0] += 1.0
-    others = run_explainer(explainer, policy, changed, 3)[1:]
+    others = run(explainer, policy, changed, 3)[1:]
     torch.testing.assert_close(mask[1:], others, rtol=0, atol=1e-5)  # objectives are uncoupled
 
 

@@ -1,0 +1,114 @@
+"""Social influence: would the receiver act otherwise, had the sender said something else?
+
+Paper: Jaques et al., "Social Influence as Intrinsic Motivation for Multi-Agent Deep Reinforcement Learning"
+(ICML 2019), the counterfactual reward of section 3. Formula: the influence of the message j -> i is
+
+    c_ij = KL( p_i(. | m_j) || 1/K sum_k p_i(. | m_j^k) ),
+
+p_i the distribution of the receiver's action, m_j what j says and m_j^k what it said in a reference state: a
+state of an episode that no score plays, drawn at random for each timestep and k. All other messages are as
+they were, and the receiver weighs each message as it did: this is the absence model `resample` of
+xmarl_bench.explain.absence. A message that nobody attends to has no influence.
+
+The right side is a mixture of Normals, and a KL to it has no closed form. It is replaced by the smallest of
+its variational upper bounds (Hershey and Olsen, "Approximating the Kullback Leibler Divergence Between
+Gaussian Mixture Models", ICASSP 2007),
+
+    c_ij = -log 1/K sum_k exp(-KL(p_i || p_i^k)),
+
+each KL in closed form, between the diagonal Normals under the tanh, which equals that of the TanhNormals. No
+actions are drawn. The bound is 0 where no other message changes the distribution, exact where all components
+are alike, and at most the mean of their KLs.
+
+Departures: messages take the place of actions, and their marginal is over reference states, not over the
+sender's own policy. The mask is c / max c over the row; an agent's own edge is no message between agents, and
+kept. Coefficients and messages must be known: policies of several layers or heads are refused.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from xmarl_baselines.explainers.batching import AGENTS_AT_ONCE, by_chunks
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.adapters import as_explainer
+from xmarl_bench.explain.effect import share_of_largest
+from xmarl_bench.metrics import kl_divergence
+from xmarl_bench.metrics.absence import Absence
+from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy
+
+
+@dataclass(eq=False)
+class Influence:
+    """The explainer; fitted, it holds the states in which other things were said."""
+
+    draws: int = 32  # K, of another message of each sender, for each timestep
+    reference: Tensor = field(init=False, repr=False)  # (Q, N, D)
+
+    def fit(self, observations: Tensor) -> None:
+        """(Q, N, D) reference states."""
+        self.reference = observations
+
+    def explain(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+        """(S, N, D) -> (S, N, N). Raises InputError where coefficients are not known."""
+        if not isinstance(policy, GraphPolicy):
+            raise InputError(
+                "influence puts other messages in place of those that were sent, and needs a policy with one "
+                "layer of one head, whose coefficients are known: choose another explainer or policy."
+            )
+        known: GraphPolicy = policy
+        n_steps, n_agents, _ = observations.shape
+        drawn = torch.randint(len(self.reference), (self.draws, n_steps), generator=generator)
+
+        def explain(steps: slice) -> Tensor:
+            influence = influences(known, observations[steps], messages[drawn[:, steps]])
+            return share_of_largest(influence) + torch.eye(n_agents)
+
+        with torch.no_grad():
+            messages = known.prepare(self.reference).message
+            width = max(1, AGENTS_AT_ONCE // (self.draws * n_agents))
+            return by_chunks(observations, explain, steps_at_once=width)
+
+
+def influences(policy: GraphPolicy, observations: Tensor, said: Tensor) -> Tensor:
+    """One chunk: (S, N, D), and (K, S, N, W) what each sender might have said -> (S, N, N), diagonal 0."""
+    n_steps, n_agents, _ = observations.shape
+    prepared = policy.prepare(observations)
+    actual = policy.decode(prepared)
+    influence = observations.new_zeros(n_steps, n_agents, n_agents)
+    for j in range(n_agents):
+        others = torch.ones(n_agents, n_agents)
+        others[:, j] = 0.0
+        mask = others.expand(*said.shape[:2], -1, -1)
+        influence[:, :, j] = kl_to_mixture(actual, policy.decode(prepared, mask, said))
+    return influence * (1.0 - torch.eye(n_agents))
+
+
+def kl_to_mixture(actual: ActionDistribution, others: ActionDistribution) -> Tensor:
+    """The bound above, in nats: (..., N, A), and (K, ..., N, A) the mixture's components -> (..., N).
+
+    Raises InputError for a deterministic policy, which has no distribution to compare.
+    """
+    if actual.kind == "deterministic":
+        raise InputError(
+            "influence compares distributions of actions, and the policy is deterministic: choose another "
+            "explainer or policy."
+        )
+    kl = kl_divergence(*(part.numpy() for part in (actual.loc, actual.scale, others.loc, others.scale)))
+    bound = math.log(len(kl)) - torch.from_numpy(-kl).logsumexp(dim=0)
+    return bound.clamp_min(0.0)  # rounding
+
+
+influence = as_explainer(
+    Influence(),
+    name="influence",
+    summary="counterfactual influence of each message on the receiver's distribution of actions",
+    stochastic=True,
+    needs_fit=True,
+    absence=Absence.RESAMPLE,
+    hyperparameters={"draws": Influence.draws, "own_edge": "kept", "normaliser": "c / max c over the row"},
+)

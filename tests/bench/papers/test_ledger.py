@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from tests.helpers.made_samples import made_samples
+from xmarl_bench.metrics.statistics import student_interval, student_p
 from xmarl_bench.papers.kailas2025.claims import (
     ATTENTION,
     GNN,
@@ -83,7 +84,11 @@ SAME, NO_WORSE = unmoved(ATTENTION, "fid_delta", 0.1), keeps("success_rate", 0.1
 def test_a_contrast(
     contrast: Contrast, low: float, high: float, effect: float, p: float, expected: Verdict
 ) -> None:
-    assert decide(contrast, compared(low, high, effect), p) is expected
+    """Here p is that of a difference beyond the margin, too."""
+    beyond = 0.01 if expected is N else 0.5
+    assert decide(contrast, compared(low, high, effect), p, beyond) is expected
+    if contrast.margin and expected is N:
+        assert decide(contrast, compared(low, high, effect), p, 0.06) is U
 
 
 def test_without_an_interval_nothing_is_decided_and_without_a_value_nothing_measured() -> None:
@@ -139,6 +144,60 @@ def test_bonferroni_counts_the_tests_of_the_statement() -> None:
     assert alone.p_adjusted == alone.compared.p
     assert together.compared.p is not None
     assert together.p_adjusted == min(1.0, 3 * together.compared.p)
+
+
+def test_beyond_a_margin_is_the_t_test_against_it() -> None:
+    a, b = [np.array([-0.3]), np.array([-0.5]), np.array([-0.45])], [np.zeros(1)] * 3
+    expected = stats.ttest_1samp([-0.3, -0.5, -0.45], -0.1).pvalue
+    assert compare(a, b, 1, 0.1).p_beyond == pytest.approx(expected)
+    assert compare(a, b, -1, 0.1).p_beyond == pytest.approx(expected)  # of the nearer margin
+    assert compare(a, b, 1, 0.6).p_beyond == 1.0
+    assert compare(a, b, 1).p_beyond is None
+    assert compare(a[:1], b[:1], 1, 0.1).p_beyond is None
+
+
+def verdicts(contrast: Contrast, difference: np.ndarray, cells: int) -> list[list[Verdict]]:
+    """(statements * cells, runs) differences of means -> verdicts of the cells of each statement."""
+    margin, (low, high), p = contrast.margin, student_interval(difference), student_p(difference)
+    mean = difference.mean(axis=-1)
+    beyond = np.where(np.abs(mean) <= margin, 1.0, student_p(difference - np.copysign(margin, mean)[:, None]))
+    each = [
+        decide(
+            contrast,
+            Compared(3, 150, 0, m, 0.0, m, (lo, hi), None, None),
+            min(1.0, cells * one),
+            min(1.0, cells * other),
+        )
+        for m, lo, hi, one, other in zip(mean, low, high, p, beyond, strict=True)
+    ]
+    return [each[k : k + cells] for k in range(0, len(each), cells)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quantifier", [EVERY, MOST])
+@pytest.mark.parametrize("n_runs", [3, 5])
+@pytest.mark.parametrize("spread", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("contrast", [BETTER, NO_WORSE, SAME], ids=lambda contrast: contrast.relation.value)
+def test_verdicts_where_nothing_is_to_be_found(
+    contrast: Contrast, spread: float, n_runs: int, quantifier: Quantifier
+) -> None:
+    """At most one statement in twenty is held, or not held, on nine cells whose difference is the limit.
+
+    That is 0, or the margin, from which neither verdict is right; episodes are skewed, 50 to a run.
+    """
+    rng = np.random.default_rng([n_runs, int(10 * spread)])
+    runs = spread * rng.normal(size=(9 * 800, n_runs, 1))
+    difference = (runs + rng.exponential(size=(9 * 800, n_runs, 50)) - 1.0).mean(axis=-1) - contrast.margin
+    found = [quantify(each, quantifier) for each in verdicts(contrast, difference, 9)]
+    for verdict in (H, N):
+        assert np.mean([each is verdict for each in found]) <= 0.05
+
+
+def test_a_statement_never_rests_on_cells_that_are_undecided() -> None:
+    for quantifier in (EVERY, MOST, MIXED):
+        for n in range(1, 10):
+            assert quantify([U] * n, quantifier) is U
+            assert quantify([U] * n + [X], quantifier) is U
 
 
 @pytest.mark.slow

@@ -1,14 +1,17 @@
 """Judges statements on samples: held, not held or not decided, with the numbers.
 
 The training run is the unit: a contrast holds by the paired t-test over runs, p under 0.05 after Bonferroni
-over the tests of the statement. "The same" and "no worse" are judged by Student's interval of the mean
-difference against a margin. Differences are signed so that positive is what the statement says. The paper's
-own test, Mann-Whitney U of the pooled episodes of all runs, takes episodes of one run for independent runs
-and decides nothing here; its effect size stands beside the difference.
+over the tests of the statement. "The same" and "no worse" hold where Student's interval of the mean
+difference is within the margin. They are refuted by the same test of a difference beyond the margin, after
+Bonferroni too: without it one of nine cells is beyond by chance in one statement of five. Differences are
+signed so that positive is what the statement says. The paper's own test, Mann-Whitney U of the pooled
+episodes of all runs, takes episodes of one run for independent runs and decides nothing here; its effect
+size stands beside the difference.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -50,6 +53,7 @@ class Compared:
     interval: tuple[float, float] | None
     p: float | None  # of the paired t-test over runs
     effect: float | None  # rank-biserial correlation of the episodes, in [-1, 1]
+    p_beyond: float | None = None  # of the same test of a difference beyond the margin; 1 where it is within
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ class JudgedContrast:
     contrast: Contrast
     compared: Compared
     p_adjusted: float | None
+    p_beyond_adjusted: float | None
     verdict: Verdict
 
 
@@ -89,13 +94,14 @@ class Judge:
 
     def judge(self, claim: Claim) -> Judged:
         compared = [[self.compare(each, (cell,)) for each in claim.contrasts] for cell in claim.cells]
-        adjusted = iter(_adjusted([each for row in compared for each in row]))
+        n = len(claim.contrasts)
+        family = _judged(claim.contrasts * len(compared), [each for row in compared for each in row])
         cells = []
-        for cell, row in zip(claim.cells, compared, strict=True):
-            judged = _judged(claim.contrasts, row, [next(adjusted) for _ in row])
+        for k, cell in enumerate(claim.cells):
+            judged = family[k * n : (k + 1) * n]
             cells.append(JudgedCell(cell, judged, combine([each.verdict for each in judged], claim.combine)))
         everywhere = [self.compare(each, claim.cells) for each in claim.contrasts]
-        overall = _judged(claim.contrasts, everywhere, _adjusted(everywhere))
+        overall = _judged(claim.contrasts, everywhere)
         if claim.quantifier is Quantifier.TOGETHER:
             verdict = combine([each.verdict for each in overall], claim.combine)
         else:
@@ -111,13 +117,19 @@ class Judge:
                 more_a, more_b = self.samples.blocks(cell, contrast)
                 a += more_a
                 b += more_b
-            self.known[key] = compare(a, b, ORIENTATION[contrast.metric])
+            self.known[key] = compare(a, b, ORIENTATION[contrast.metric], contrast.margin)
         return self.known[key]
 
 
-def compare(a: Blocks, b: Blocks, orientation: int) -> Compared:
+def compare(a: Blocks, b: Blocks, orientation: int, margin: float = 0.0) -> Compared:
     """Two lists of (E,) arrays, one pair per policy; orientation -1 where less is better."""
-    difference = over_runs([orientation * x for x in a], [orientation * x for x in b])
+    oriented = [orientation * x for x in a], [orientation * x for x in b]
+    difference = over_runs(*oriented)
+    beyond = None
+    if margin and difference.value is not None:
+        nearer = math.copysign(margin, difference.value)
+        beyond = over_runs([x - nearer for x in oriented[0]], oriented[1]).p
+        beyond = 1.0 if abs(difference.value) <= margin and beyond is not None else beyond
     effect = rank_biserial(np.concatenate(a), np.concatenate(b)) if a else None
     measured = [
         (x[~np.isnan(x)], y[~np.isnan(y)])
@@ -134,28 +146,30 @@ def compare(a: Blocks, b: Blocks, orientation: int) -> Compared:
         interval=difference.interval,
         p=difference.p,
         effect=None if effect is None else orientation * effect,
+        p_beyond=beyond,
     )
 
 
-def decide(contrast: Contrast, compared: Compared, p_adjusted: float | None) -> Verdict:
-    """NOT_HELD is that the reverse was shown, not that nothing was."""
+def decide(
+    contrast: Contrast, compared: Compared, p_adjusted: float | None, p_beyond: float | None = None
+) -> Verdict:
+    """NOT_HELD is that the reverse was shown, not that nothing was. p_beyond: adjusted, of a margin."""
     if compared.difference is None:
         return Verdict.NOT_MEASURED
     if compared.interval is None:
         return Verdict.NOT_DECIDED
     low, high = compared.interval
     margin = contrast.margin
-    if contrast.relation is Relation.SAME:
-        if -margin <= low and high <= margin:
-            return Verdict.HELD
-        return Verdict.NOT_HELD if low > margin or high < -margin else Verdict.NOT_DECIDED
-    if contrast.relation is Relation.NO_WORSE:
-        if low >= -margin:
-            return Verdict.HELD
-        return Verdict.NOT_HELD if high < -margin else Verdict.NOT_DECIDED
-    if p_adjusted is None or p_adjusted >= ALPHA:
-        return Verdict.NOT_DECIDED
-    return Verdict.HELD if compared.difference > 0 else Verdict.NOT_HELD
+    if contrast.relation is Relation.BETTER:
+        if p_adjusted is None or p_adjusted >= ALPHA:
+            return Verdict.NOT_DECIDED
+        return Verdict.HELD if compared.difference > 0 else Verdict.NOT_HELD
+    same = contrast.relation is Relation.SAME
+    if low >= -margin and (high <= margin or not same):
+        return Verdict.HELD
+    beyond = compared.difference < -margin or (same and compared.difference > margin)
+    shown = p_beyond is not None and p_beyond < ALPHA
+    return Verdict.NOT_HELD if beyond and shown else Verdict.NOT_DECIDED
 
 
 def combine(verdicts: Sequence[Verdict], how: Combine) -> Verdict:
@@ -183,17 +197,17 @@ def quantify(verdicts: Sequence[Verdict], quantifier: Quantifier) -> Verdict:
     return Verdict.HELD if yes else Verdict.NOT_HELD if no else Verdict.NOT_DECIDED
 
 
-def _judged(
-    contrasts: Sequence[Contrast], compared: Sequence[Compared], adjusted: Sequence[float | None]
-) -> tuple[JudgedContrast, ...]:
+def _judged(contrasts: Sequence[Contrast], compared: Sequence[Compared]) -> tuple[JudgedContrast, ...]:
+    """All that a statement asks: it is one family of tests."""
+    adjusted = _adjusted([each.p for each in compared])
+    beyond = _adjusted([each.p_beyond for each in compared])
     return tuple(
-        JudgedContrast(contrast, each, p, decide(contrast, each, p))
-        for contrast, each, p in zip(contrasts, compared, adjusted, strict=True)
+        JudgedContrast(contrast, each, p, q, decide(contrast, each, p, q))
+        for contrast, each, p, q in zip(contrasts, compared, adjusted, beyond, strict=True)
     )
 
 
-def _adjusted(compared: Sequence[Compared]) -> list[float | None]:
+def _adjusted(p: Sequence[float | None]) -> list[float | None]:
     """Bonferroni over the tests that were made."""
-    made = [each.p for each in compared if each.p is not None]
-    values = iter(bonferroni(made).tolist())
-    return [None if each.p is None else next(values) for each in compared]
+    values = iter(bonferroni([each for each in p if each is not None]).tolist())
+    return [None if each is None else next(values) for each in p]

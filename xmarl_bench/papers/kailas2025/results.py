@@ -184,6 +184,7 @@ def _contrast(judged: JudgedContrast) -> Json:
         "interval": compared.interval,
         "p": compared.p,
         "p_adjusted": judged.p_adjusted,
+        "p_beyond_adjusted": judged.p_beyond_adjusted,
         "effect": compared.effect,
         "n_policies": compared.n_policies,
         "n_episodes": compared.n_episodes,

@@ -114,10 +114,12 @@ def _compact(
             {
                 **{key: ranking[key] for key in ("protocol", "task", "n_agents")},
                 "n_policies": len(ranking["policies"]),
+                "improvement": ranking["improvement"],
                 "rows": [
                     {
                         **row,
                         "value": short(row["value"]),
+                        "profile": _profile(row["profile"]),
                         "interval": row["interval"] and [short(x) for x in row["interval"]],
                         "means": {name: short(mean) for name, mean in row["means"].items()},
                     }
@@ -128,6 +130,16 @@ def _compact(
         ],
         "episode_metrics": EPISODE_METRICS,
     }
+
+
+def _profile(profile: Json) -> list[list[float | None]]:
+    """[tau, share above it, low, high] of every step of a performance profile; the first tau is None."""
+    return [
+        [None if tau is None else short(tau), short(share), short(low), short(high)]
+        for tau, share, (low, high) in zip(
+            (None, *profile["taus"]), profile["shares"], profile["band"], strict=True
+        )
+    ]
 
 
 def _script(name: str, value: Any) -> bytes:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,12 @@ from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, plac
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
 from xmarl_bench.explain.controls import INVERTED
+from xmarl_bench.metrics.performance_profile import performance_profile
+from xmarl_bench.metrics.statistics import interquartile_mean, probability_of_improvement
 from xmarl_bench.metrics.table import OF_EXPLAINERS, by_name, names_of
 from xmarl_bench.records.files import canonical_json
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 MOST = by_name()[ORDER["by"]].range.high or math.inf
 Json = dict[str, Any]
 
@@ -221,13 +223,32 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
              "n_agents": pairs[k][0]["n_agents"]}
             for k in chosen
         ],
+        "improvement": _improvement([pairs[k][0] for k in chosen], rows),
         "rows": sorted(
             ranked + unranked + controls_rows, key=lambda row: (-row["value"], row["explainer"])
         ),
     }  # fmt: skip
 
 
+def _improvement(scopes: Sequence[Json], rows: dict[str, list[Json]]) -> Json:
+    """How probable it is that a run of the one is better than one of the other in its cell, of every two."""
+    runs: dict[str, dict[str, list[float]]] = {name: {} for name in rows}
+    for name, each in rows.items():
+        for scope, value in zip(scopes, _values(each), strict=True):
+            cell = f"{scope['task']}, {scope['n_agents']}"
+            runs[name].setdefault(cell, []).append(round(value, DIGITS))
+    return {
+        one: {
+            other: round(probability_of_improvement(runs[one], runs[other]), DIGITS)
+            for other in runs
+            if other != one
+        }
+        for one in runs
+    }
+
+
 def _ranking_row(name: str, rows: Sequence[Json], control: bool, place: Place | None = None) -> Json:
+    values = np.round(_values(rows), DIGITS)
     return {
         "explainer": name,
         "control": control,
@@ -235,6 +256,8 @@ def _ranking_row(name: str, rows: Sequence[Json], control: bool, place: Place | 
         "rank_interval": None if place is None else place.rank_interval,
         "tie_group": None if place is None else place.tie_group,
         "value": round(float(np.mean(_values(rows))), DIGITS),
+        "iqm": round(interquartile_mean(values), DIGITS),
+        "profile": asdict(performance_profile(values)),
         "interval": None if place is None else place.interval,
         "n_policies": len(rows),
         "means": {metric: _mean(rows, metric) for metric in PAPER},

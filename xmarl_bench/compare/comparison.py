@@ -2,8 +2,8 @@
 
 Differences are paired. Of several policies each is a unit, of a single one each episode, with Student's
 intervals and the paired t-test, whose p-values are corrected for all pairs of the table by Holm
-(xmarl_bench.metrics.statistics). Interquartile mean and probability of improvement are rliable's: the
-policies of a cell are its runs.
+(xmarl_bench.metrics.statistics). Interquartile mean, performance profile and probability of improvement are
+those of Agarwal et al. (2021): the policies of a cell are its runs.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from xmarl_bench.compare.matching import Blocks, named
 from xmarl_bench.errors import InputError
+from xmarl_bench.metrics.performance_profile import Profile, performance_profile
 from xmarl_bench.metrics.statistics import (
     Difference,
     groups_by_head,
@@ -43,6 +44,7 @@ class Standing:
     explainer: str
     mean: Difference  # to 0: the mean over policies of the mean over episodes
     iqm: float  # interquartile mean of the policies' means; of the episodes of a single policy
+    profile: Profile  # share of the same above every score
     tie_group: int  # from 1; who shares it with the group's first cannot be told from the first
 
 
@@ -92,8 +94,9 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
         better=BETTER[metric].value,
         states=tuple(next(iter(blocks.values()))),
         standings=tuple(
-            Standing(name, means[name], _interquartile_mean(values[name]), group + 1)
+            Standing(name, means[name], interquartile_mean(scores), performance_profile(scores), group + 1)
             for name, group in zip(order, groups, strict=True)
+            for scores in [_scores(values[name])]
         ),
         pairs=tuple(
             Pair(
@@ -108,8 +111,9 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
     )
 
 
-def _interquartile_mean(values: Sequence[Floats]) -> float:
-    return interquartile_mean(values[0] if len(values) == 1 else [np.nanmean(each) for each in values])
+def _scores(values: Sequence[Floats]) -> Floats:
+    """Means of the policies; of a single one its episodes."""
+    return values[0] if len(values) == 1 else np.array([np.nanmean(each) for each in values])
 
 
 def _runs(blocks: Blocks, explainer: str, values: Sequence[Floats], sign: float) -> dict[str, list[float]]:

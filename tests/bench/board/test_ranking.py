@@ -174,3 +174,27 @@ def test_a_policy_without_the_order_is_not_ranked() -> None:
     made = board([made_entry("deep", "a", 0.5, message_fidelity=None)])
     assert made["rankings"] == []
     assert all(row["rank"] is None for row in made["tables"][0]["policies"][0]["rows"])
+
+
+def test_a_ranking_says_what_runs_say() -> None:
+    """Three policies of one cell and one of another, by hand from their means."""
+    levels = {"a": (0.9, 0.8, 0.3, 0.7), "b": (0.5, 0.5, 0.5, 0.5)}
+    entries = {
+        name: [
+            made_entry(f"p{k}", name, level, n_agents=3 if k < 3 else 4, message_fidelity=level)
+            for k, level in enumerate(each)
+        ]
+        for name, each in levels.items()
+    }
+    made = board([entry for each in entries.values() for entry in each])
+    ranking = next(each for each in made["rankings"] if each["task"] is None)
+    a, b = (next(row for row in ranking["rows"] if row["explainer"] == name) for name in "ab")
+    assert a["iqm"] == pytest.approx((0.8 + 0.7) / 2)
+    assert a["profile"]["taus"] == (0.3, 0.7, 0.8, 0.9)
+    assert a["profile"]["shares"] == (1.0, 0.75, 0.5, 0.25, 0.0)
+    assert b["profile"]["shares"] == (1.0, 0.0)
+    # Of nine pairs in the one cell six are better, in the other the only one.
+    assert ranking["improvement"] == {
+        "a": {"b": pytest.approx((6 / 9 + 1) / 2, abs=1e-6)},
+        "b": {"a": pytest.approx((3 / 9 + 0) / 2, abs=1e-6)},
+    }

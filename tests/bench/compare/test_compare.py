@@ -58,6 +58,8 @@ def test_a_comparison_by_hand(entry: Entry) -> None:
     assert pair.improvement == 15 / 16  # of 16 pairs of episodes, all but 0.35 < 0.4
     assert pair.p_holm == pair.difference.p
     assert comparison.standings[0].iqm == pytest.approx(0.5)
+    profile = comparison.standings[0].profile  # of the episodes of a single policy
+    assert (profile.taus, profile.shares) == ((0.35, 0.45, 0.55, 0.65), (1.0, 0.75, 0.5, 0.25, 0.0))
     assert compare(blocks, "gef").pairs[0].improvement == 15 / 16  # of "worse", which is better there
     assert [each.explainer for each in compare(blocks, "gef").standings] == ["worse", "better"]
 
@@ -84,6 +86,7 @@ def test_several_policies_each_count_once(entry: Entry) -> None:
     expected = stats.ttest_1samp([0.0, 1.0], 0.0).confidence_interval(0.95)
     assert comparison.pairs[0].difference.interval == pytest.approx(tuple(expected))  # two units, not eight
     assert comparison.pairs[0].improvement == 0.5 * (0.5 + 0.5) + 0.25
+    assert [each.profile.shares for each in comparison.standings] == [(1.0, 0.5, 0.0), (1.0, 0.0)]  # of runs
     assert [each.tie_group for each in comparison.standings] == [1, 1]
 
 
@@ -150,6 +153,7 @@ def test_the_command(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
     (record,) = json.loads(as_json.out)
     assert [each["explainer"] for each in record["standings"]] == ["two", "one"]
     assert record["pairs"][0]["difference"]["value"] == pytest.approx(0.1)
+    assert record["standings"][0]["profile"]["shares"] == [1.0, 0.25, 0.0]
 
 
 def test_bad_input_is_one_sentence(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:

@@ -134,6 +134,22 @@ def test_the_budget_curves(board: Path, browse: Browse) -> None:
     assert [float(mean) for name, _, mean, _ in lines if name == "oracle"] == [0.25, 0.5, 0.75, 1.0]
 
 
+def test_performance_profiles_and_who_does_better(board: Path, browse: Browse) -> None:
+    page = browse(board / "index.html")
+    page.locator("#profile-title").scroll_into_view_if_needed()
+    figure = page.locator("#profile-figure")
+    expect(figure.locator("svg[aria-label='Share of policies above a score']")).to_be_visible()
+    expect(figure.locator("g[aria-label=line] path")).to_have_count(3)
+    expect(figure.locator("g[aria-label=area] path")).to_have_count(1)  # the band of the chosen one
+    page.locator("#profile-explainer").select_option("fair")
+    expect(figure.get_by_text("Probability that fair does better")).to_be_attached()
+    figure.get_by_text("The numbers").click()
+    lines = [line.split("\t") for line in figure.locator("tbody").inner_text().splitlines()]
+    assert lines == [["good", "0.00"], ["bad", "1.00"]]
+    page.get_by_label("Task").first.select_option("blind_navigation_v0")  # without a size there is no ranking
+    expect(figure.get_by_text("Nothing is ranked here.")).to_be_visible()
+
+
 def test_violins_of_two_selections(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html")
     page.locator("#violin-title").scroll_into_view_if_needed()
@@ -177,7 +193,7 @@ def test_what_a_submitter_writes_is_text(board: Path, browse: Browse) -> None:
 def test_a_telephone_in_light_and_dark(board: Path, browse: Browse, scheme: str) -> None:
     """Nothing but the tables scrolls sideways, and text can be told from its ground (WCAG AA: 4.5 to 1)."""
     page = browse(board / "index.html", color_scheme=scheme, viewport={"width": 360, "height": 740})
-    for figure in ("#budget-figure", "#violin-figure"):
+    for figure in ("#profile-figure", "#budget-figure", "#violin-figure"):
         page.locator(figure).scroll_into_view_if_needed()
         expect(page.locator(f"{figure} svg").last).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= 360

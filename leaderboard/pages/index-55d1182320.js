@@ -81,6 +81,8 @@ const rankingColumns = [
   text("explainer", (row) => row.explainer, (row) => element("span", {}, row.explainer, row.control ? element("small", {}, " control") : null)),
   { title: HEADINGS[ORDER], className: "number", type: "num", orderSequence: ["desc", "asc"], data: "value",
     render: (value, type, row) => (type !== "display" ? value : intervalNode(value, ...(row.interval ?? [null, null]), [-0.2, 1])) },
+  { title: "IQM", className: "number", type: "num", orderSequence: ["desc", "asc"], data: "iqm",
+    render: (value, type) => (type !== "display" ? value : document.createTextNode(number(value))) },
   ...BOARD.paper.map((name) => ({ title: HEADINGS[name], className: "number", type: "num", orderSequence: ["desc", "asc"],
     data: (row, type) => (type === "sort" || type === "type" ? row.means[name] ?? -Infinity : row.means[name]),
     render: (value, type) => (type !== "display" ? value : document.createTextNode(number(value))) })),
@@ -92,15 +94,32 @@ const ranking = new DataTable("#ranking", {
   language: { emptyTable: "Nothing is ranked here: no policy of this choice passes the gate, or explainers share too few." },
 });
 
-function showRanking() {
+/** The ranking of what is chosen above, if there is one. */
+function chosenRanking() {
   const [protocol, task, agents] = ["protocol", "task", "agents"].map((id) => $(id).value);
+  return BOARD.rankings.find((each) => each.protocol === protocol &&
+    (task || agents ? each.task === task && String(each.n_agents) === agents : each.task === null));
+}
+
+function showRanking() {
+  const [task, agents] = ["task", "agents"].map((id) => $(id).value);
   const all = !task && !agents;
-  const found = BOARD.rankings.find((each) => each.protocol === protocol &&
-    (all ? each.task === null : each.task === task && String(each.n_agents) === agents));
+  const found = chosenRanking();
   ranking.clear().rows.add(found?.rows ?? []).draw();
   const half = !all && !(task && agents);
   $("ranking-note").textContent = half ? "Choose both a task and a team size, or neither, for a ranking over policies."
     : found ? `Over ${found.n_policies} ${found.n_policies === 1 ? "policy" : "policies"} that all ranked explainers were scored on.` : "";
+  fill($("profile-explainer"), (found?.rows ?? []).filter((row) => row.rank !== null).map(({ explainer }) => [explainer, explainer]));
+}
+
+function showProfiles() {
+  const place = $("profile-figure");
+  return show(place, async () => {
+    const found = chosenRanking();
+    const explainer = $("profile-explainer").value;
+    if (!explainer) return [element("p", { class: "dim" }, "Nothing is ranked here.")];
+    return profileChart(place, found, explainer, plainHeading(ORDER));
+  });
 }
 
 function showPolicyNote() {
@@ -230,12 +249,14 @@ function start() {
   scopeChanged();
   if (asked.has("policy")) { $("policy").value = asked.get("policy"); rowsChanged(); }
   columnsChanged();
-  for (const id of ["protocol", "task", "agents"]) $(id).addEventListener("change", () => { scopeChanged(); fillSelections(); showBudget(); showViolins(); });
+  for (const id of ["protocol", "task", "agents"]) $(id).addEventListener("change", () => { scopeChanged(); fillSelections(); showProfiles(); showBudget(); showViolins(); });
   for (const id of ["policy", "kind", "verification"]) $(id).addEventListener("change", rowsChanged);
   $("columns").addEventListener("change", columnsChanged);
   for (const id of ["budget-policy", "budget-kind"]) $(id).addEventListener("change", showBudget);
+  $("profile-explainer").addEventListener("change", showProfiles);
   $("violin-metric").addEventListener("change", showViolins);
   for (const form of document.forms) form.addEventListener("submit", (event) => event.preventDefault());
+  lazily("profile-figure", showProfiles);
   lazily("budget-figure", showBudget);
   lazily("violin-figure", showViolins);
 }

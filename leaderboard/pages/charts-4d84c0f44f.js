@@ -48,6 +48,34 @@ function budgetChart(place, named, kind) {
   return [chart, numbersTable("FidDelta at every budget", ["curve", "k", "mean", "95 %"], lines)];
 }
 
+/** Performance profiles of a ranking's explainers; band and probabilities of improvement are those of `chosen`. */
+function profileChart(place, ranking, chosen, heading) {
+  const ranked = ranking.rows.filter((row) => row.rank !== null);
+  const taus = ranked.flatMap((row) => row.profile.map(([tau]) => tau)).filter((tau) => tau !== null);
+  const [low, high] = d3.extent(taus);
+  const beyond = 0.05 * (high - low || 1);
+  const points = ranked.flatMap(({ explainer, profile }) => [...profile, [high + beyond, ...profile.at(-1).slice(1)]]
+    .map(([tau, share, least, most]) => ({ explainer, tau: tau ?? low - beyond, share, least, most })));
+  const names = ranked.map((row) => row.explainer);
+  const colour = (name) => SERIES[names.indexOf(name) % SERIES.length];
+  const step = { x: "tau", y: "share", z: "explainer", stroke: "explainer", curve: "step-after" };
+  const chart = Plot.plot({
+    width: chartWidth(place), height: 350, marginLeft: 55, marginBottom: 45, style: chartStyle,
+    ariaLabel: "Share of policies above a score", ariaDescription: "One falling step curve per explainer, the chosen one with its band",
+    color: { domain: names, range: names.map(colour), legend: true },
+    x: { label: heading, labelOffset: 40, inset: 5 }, y: { label: "share of policies above", domain: [0, 1], grid: true },
+    marks: [
+      Plot.areaY(points.filter(({ explainer }) => explainer === chosen), { x: "tau", y1: "least", y2: "most", curve: "step-after", fill: colour(chosen), fillOpacity: 0.18 }),
+      Plot.lineY(points.filter(({ explainer }) => explainer !== chosen), { ...step, strokeWidth: 1.5, strokeOpacity: 0.7 }),
+      Plot.lineY(points.filter(({ explainer }) => explainer === chosen), { ...step, strokeWidth: 4 }),
+      Plot.dot(points, { x: "tau", y: "share", fill: "explainer", r: 2.5, tip: true, title: ({ explainer, tau, share }) => `${explainer}: ${number(share, 2)} above ${number(tau)}` }),
+    ],
+  });
+  const better = ranking.improvement[chosen];
+  const lines = ranked.filter(({ explainer }) => explainer !== chosen).map(({ explainer }) => [explainer, number(better[explainer], 2)]);
+  return [chart, numbersTable(`Probability that ${chosen} does better`, ["than", "probability"], lines)];
+}
+
 /** Gaussian kernel density of values on a grid, by Silverman's rule; null where all values are the same. */
 function density(values, steps = 60) {
   const spread = Math.min(d3.deviation(values) ?? 0, (d3.quantile(values, 0.75) - d3.quantile(values, 0.25)) / 1.34 || Infinity);

@@ -1,0 +1,50 @@
+"""Performance profiles: the share of training runs that score above tau, for every tau.
+
+The run-score distribution of Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
+Statistical Precipice": a curve says more than a mean, and one that lies above another everywhere is of the
+better competitor. Theirs has the band of a stratified bootstrap, which has no width at all where a cell has
+a single run, or where all runs lie on one side of tau. Ours is the exact binomial interval of Clopper and
+Pearson (1934), tau by tau: it covers at least as often as it says at any number of runs, and with runs of
+several cells, whose chances differ, more often (Hoeffding 1956).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xmarl_bench.metrics.statistics import CONFIDENCE
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A falling step function of tau. U is the number of different scores."""
+
+    taus: tuple[float, ...]  # (U,) the scores, rising: at each of them the share falls
+    shares: tuple[float, ...]  # (U + 1,) of runs above tau: 1 below taus[0], then from each of taus on
+    band: tuple[tuple[float, float], ...]  # (U + 1,) interval of each share
+
+
+def performance_profile(scores: ArrayLike, confidence: float = CONFIDENCE) -> Profile:
+    """(G,) scores of training runs -> the share of them above tau. What is not a number is left out."""
+    x = np.asarray(scores, dtype=np.float64)
+    x = x[~np.isnan(x)]
+    taus, counts = np.unique(x, return_counts=True)
+    above = x.size - np.concatenate([[0], np.cumsum(counts)])
+    return Profile(
+        taus=tuple(taus.tolist()),
+        shares=tuple((above / max(1, x.size)).tolist()),
+        band=tuple(share_interval(int(k), x.size, confidence) for k in above),
+    )
+
+
+def share_interval(successes: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Clopper and Pearson's interval of a chance of which so many of the trials came out; [0, 1] of none."""
+    from scipy.special import betaincinv  # here, for whoever only reads entries need not wait for scipy
+
+    tail = (1.0 - confidence) / 2
+    low = 0.0 if successes == 0 else betaincinv(successes, trials - successes + 1, tail)
+    high = 1.0 if successes == trials else betaincinv(successes + 1, trials - successes, 1.0 - tail)
+    return float(low), float(high)

@@ -44,6 +44,11 @@ def action_shape(task: Task) -> tuple[int, ...]:
     return (task.n_agents, 2) if task.continuous_actions else (task.n_agents,)
 
 
+def action_width(continuous_actions: bool) -> int:
+    """How many numbers a policy gives for an action: entries of a push, or one for each action there is."""
+    return 2 if continuous_actions else N_ACTIONS
+
+
 def pushes(task: Task, actions: NDArray[Any]) -> NDArray[Any]:
     """(B, N, 2), or (B, N) where they are discrete -> (B, N, 2) pushes; what lies outside is clipped.
 

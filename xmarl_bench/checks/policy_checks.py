@@ -8,22 +8,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from xmarl_envs.actions import random_actions
 
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
 from xmarl_bench.errors import InputError
+from xmarl_bench.explain.effect import action_change
 from xmarl_bench.explain.fitting import FIRST_FIT_SEED, fit_states
 from xmarl_bench.metrics.statistics import over_units
 from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.policy.interventions import check_blind, check_receivers
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.rollout.cell import Cell, spaced_timesteps
-from xmarl_bench.rollout.episodes import Episode, play, roll_out
+from xmarl_bench.rollout.episodes import Episode, play, roll_out, with_actions_of
 
 SEED: Final = 1
 ROUNDING: Final = 1e-4  # action units: rounding depends on the order of a sum and the size of a batch
@@ -78,11 +80,13 @@ def ranges(subject: PolicySubject) -> str:
     loc, scale, action = subject.full.loc, subject.full.scale, subject.full.action
     if not bool(torch.isfinite(loc).all() & torch.isfinite(scale).all()):
         raise Failed("an action is NaN or infinite: look for a division by zero or an overflow.")
+    low, high, widest = float(action.min()), float(action.max()), float(scale.max())
+    if subject.full.kind == "categorical":
+        return f"probabilities of actions {low:.2f} to {high:.2f}"
     if float(action.abs().max()) > 1.0:
         raise Failed(f"an action is {float(action.abs().max()):.3g}: keep actions in [-1, 1].")
     if subject.full.kind != "deterministic" and not bool((scale > 0).all()):
         raise Failed("a scale is not positive: give every Normal a positive scale.")
-    low, high, widest = float(action.min()), float(action.max()), float(scale.max())
     return f"actions {low:.2f} to {high:.2f}, scales up to {widest:.2f}"
 
 
@@ -155,7 +159,7 @@ def attends(subject: PolicySubject) -> str:
 def listens(subject: PolicySubject) -> str:
     n_steps, n_agents, _ = subject.observations.shape
     alone = subject.policy.distribution(subject.observations, torch.eye(n_agents).repeat(n_steps, 1, 1))
-    change = float((alone.action - subject.full.action).abs().mean())
+    change = float(action_change(subject.full, alone).mean())
     if change < LISTENS:
         raise Failed(
             f"removing all messages changes actions by {change:.2g}, less than {LISTENS}: explanations of a "
@@ -166,12 +170,13 @@ def listens(subject: PolicySubject) -> str:
 
 def success(subject: PolicySubject) -> str:
     """Against actions drawn at random, in the same episodes."""
-    task, seeds = subject.cell.make(), range(FIRST_FIT_SEED, FIRST_FIT_SEED + subject.episodes)
+    task = with_actions_of(subject.policy, subject.cell.make())
+    seeds = range(FIRST_FIT_SEED, FIRST_FIT_SEED + subject.episodes)
     trained = roll_out(task, subject.policy, seeds)
     rng = subject.rng
 
-    def at_random(observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[np.float32]:
-        return rng.uniform(-1, 1, (len(observation), task.n_agents, 2)).astype(np.float32)
+    def at_random(observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[Any]:
+        return random_actions(task, len(observation), rng)
 
     chance = play(task, at_random, seeds)
     ours, theirs = _rates(trained), _rates(chance)

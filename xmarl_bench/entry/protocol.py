@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from xmarl_bench.metrics.table import FAMILIES, METRICS
+from xmarl_bench.policy.architecture import DistributionKind
 
 PROTOCOL: Final = "xmarl-3"
 # What is checked of an explainer's sanity: the first episodes of a run, timesteps evenly spaced in each.
@@ -34,3 +35,16 @@ DEFINITIONS: dict[str, str] = {
     "timesteps": "null: all T of an episode; K: at most K, number floor((2 k + 1) T / (2 K)), k = 0 .. K - 1",
     "seeds": "environment seed of each episode: 10^12 + seed * 10^6 + k",
 }
+
+# What differs where actions are discrete (`continuous_actions=False`).
+OF_CATEGORICALS: Final[dict[str, str]] = {
+    "F(m)": "probabilities of the discrete actions, of which the likeliest is played, with the message on "
+    "edge j -> i scaled by m[i, j] after the softmax, nothing renormalised",
+    "fid_minus": "mean over agents of d_i(m), d_i(m) = total variation distance of F_i(1) and F_i(m)",
+    "gef": "mean over agents of 1 - exp(-KL(F_i(1) || F_i(m))), of the categoricals",
+}
+
+
+def definitions(distribution: DistributionKind) -> dict[str, str]:
+    """What the numbers of a policy's entry mean, by its distribution of actions."""
+    return DEFINITIONS | OF_CATEGORICALS if distribution == "categorical" else DEFINITIONS

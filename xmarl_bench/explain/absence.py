@@ -29,8 +29,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_bench.explain.fitting import fit_states
-from xmarl_bench.explain.oracle import binary_rows, check_oracle, chunks, why_no_oracle
-from xmarl_bench.metrics import prediction_change
+from xmarl_bench.explain.oracle import (
+    binary_rows,
+    change_from_last,
+    check_oracle,
+    chunks,
+    why_no_oracle,
+)
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy, Policy
 from xmarl_bench.policy.distribution import ActionDistribution
@@ -81,8 +86,7 @@ def message_table(
                 _decode(policy, prepared, rows, absence, None if each is None else each[steps])
                 for each in stand_ins
             ]
-            changes = [prediction_change(table[-1:], table) for table in (t.action.numpy() for t in tables)]
-            change[:, steps] = np.mean(changes, axis=0)
+            change[:, steps] = np.mean([change_from_last(table) for table in tables], axis=0)
     return change
 
 

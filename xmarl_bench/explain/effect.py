@@ -1,10 +1,11 @@
 """A scalar per agent that gradients, Shapley values and Captum can attribute to messages.
 
-    e_i(m) = mean over action entries of sign(F_i(1) - F_i(0)) * (F_i(m) - F_i(0))
+    e_i(m) = sum over action entries of sign(F_i(1) - F_i(0)) * (F_i(m) - F_i(0)) / A
 
 is how far the action has moved under m along what all messages together do to it. e_i(0) = 0 and e_i(1) is
 d_i(0), the mean absolute change that removing all messages makes; while no entry overshoots F_i(1),
-e_i(m) = d_i(0) - d_i(m), with the d_i of the fidelities.
+e_i(m) = d_i(0) - d_i(m), with the d_i of the fidelities. Of discrete actions F_i are the probabilities and 2
+stands for A, so that d_i is the total variation distance and all of this holds too.
 
 S is the number of timesteps, N agents, A action entries.
 """
@@ -16,17 +17,23 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from xmarl_bench.policy import Policy
+from xmarl_bench.policy import ActionDistribution, Policy
 
 NORMALISER = "0.5 + a / (2 max |a|) over the row"  # what `signed_to_unit` does, as entries record it
+
+
+def action_change(full: ActionDistribution, other: ActionDistribution) -> Tensor:
+    """(..., N): d_i, as `prediction_change` of the fidelities, with gradients."""
+    return (full.action - other.action).abs().sum(dim=-1) / full.divisor
 
 
 def effect_direction(policy: Policy, prepared: Any, n_steps: int, n_agents: int) -> Tensor:
     """(S, N, A): sign(F_i(1) - F_i(0)) / A, so that e_i is its product with F_i, up to a constant."""
     with torch.no_grad():
-        full = policy.decode(prepared).action
-        silent = policy.decode(prepared, torch.zeros(n_steps, n_agents, n_agents, dtype=full.dtype)).action
-    return torch.sign(full - silent) / full.shape[-1]
+        full = policy.decode(prepared)
+        nothing = torch.zeros(n_steps, n_agents, n_agents, dtype=full.loc.dtype)
+        silent = policy.decode(prepared, nothing)
+    return torch.sign(full.action - silent.action) / full.divisor
 
 
 def signed_to_unit(attribution: Tensor) -> Tensor:

@@ -27,7 +27,7 @@ class OwnKept(Policy):
     def __init__(self, policy: Policy) -> None:
         super().__init__()
         self.policy = policy
-        self.graph = policy.graph
+        self.graph, self.continuous_actions = policy.graph, policy.continuous_actions
 
     @property
     def row_wise(self) -> bool:

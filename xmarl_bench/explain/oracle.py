@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.explain.effect import action_change
 from xmarl_bench.metrics import prediction_change, rows_within
-from xmarl_bench.policy import Policy, existing_edges
+from xmarl_bench.policy import ActionDistribution, Policy, existing_edges
 
 MAX_AGENTS = 10
 # Network rows decoded at once: the best of 250 to 64000 on one core, for larger batches leave the cache.
@@ -64,8 +65,8 @@ def chunks(n_steps: int, n_agents: int, rows_per_agent: int) -> Iterator[slice]:
         yield slice(first, min(first + width, n_steps))
 
 
-def action_tables(policy: Policy, observations: Tensor) -> Iterator[tuple[slice, Tensor]]:
-    """(S, N, D) -> (timesteps, (R, s, N, A) actions of every binary row), a bounded stretch at a time.
+def action_tables(policy: Policy, observations: Tensor) -> Iterator[tuple[slice, ActionDistribution]]:
+    """(S, N, D) -> (timesteps, (R, s, N, A) of every binary row), a bounded stretch at a time.
 
     Entry [r, s, i] is F_i at timestep s with row i of the mask set to r, whatever the other rows are.
 
@@ -77,11 +78,11 @@ def action_tables(policy: Policy, observations: Tensor) -> Iterator[tuple[slice,
     for steps in chunks(n_steps, n_agents, len(rows)):
         prepared = policy.prepare(observations[steps])
         mask = rows.expand(-1, steps.stop - steps.start, n_agents, -1)
-        yield steps, policy.decode(prepared, mask).action
+        yield steps, policy.decode(prepared, mask)
 
 
 def change_table(policy: Policy, observations: Tensor) -> NDArray[np.float64]:
-    """(S, N, D) -> (R, S, N): d_i of every binary row, mean over action entries of |F_i(1) - F_i(row)|.
+    """(S, N, D) -> (R, S, N): d_i of every binary row, see xmarl_bench.metrics.fidelity.
 
     Holds 8 R S N bytes: 0.5 MB for 400 timesteps at N = 5, 6.6 MB at N = 8, 33 MB at N = 10. Arguments and
     errors are those of `action_tables`.
@@ -89,10 +90,15 @@ def change_table(policy: Policy, observations: Tensor) -> NDArray[np.float64]:
     n_steps, n_agents, _ = observations.shape
     change = np.empty((2**n_agents, n_steps, n_agents))
     with torch.no_grad():
-        for steps, actions in action_tables(policy, observations):
-            table = actions.numpy()
-            change[:, steps] = prediction_change(table[-1:], table)
+        for steps, table in action_tables(policy, observations):
+            change[:, steps] = change_from_last(table)
     return change
+
+
+def change_from_last(table: ActionDistribution) -> NDArray[np.float64]:
+    """(R, s, N, A), of which the last row keeps everything -> (R, s, N): d_i of every row."""
+    actions = table.action.numpy()
+    return prediction_change(actions[-1:], actions, table.divisor)
 
 
 def best_rows(change: NDArray[np.float64], edges: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
@@ -111,11 +117,8 @@ def oracle_mask(policy: Policy, observations: Tensor, generator: torch.Generator
     edges = existing_edges(policy, observations)
     with torch.no_grad():
         best = [
-            best_rows(
-                prediction_change(actions[-1:].numpy(), actions.numpy()),
-                None if edges is None else edges[steps],
-            )
-            for steps, actions in action_tables(policy, observations)
+            best_rows(change_from_last(table), None if edges is None else edges[steps])
+            for steps, table in action_tables(policy, observations)
         ]
     return mask_of(np.concatenate(best), observations.shape[1])
 
@@ -142,15 +145,14 @@ def ascend(policy: Policy, observations: Tensor, start: Tensor) -> Tensor:
 def _ascend(policy: Policy, observations: Tensor, start: Tensor) -> Tensor:
     with torch.no_grad():
         prepared = policy.prepare(observations)
-        full = policy.decode(prepared).action
+        full = policy.decode(prepared)
     best, highest = start, torch.full(start.shape[:-1], -torch.inf)
     mask, step = start, SOFT_STEP
     for _ in range(SOFT_STEPS + 1):
         with torch.enable_grad():
             mask = mask.detach().requires_grad_()
             kept, dropped = (
-                (full - policy.decode(prepared, each).action).abs().mean(dim=-1)
-                for each in (mask, 1.0 - mask)
+                action_change(full, policy.decode(prepared, each)) for each in (mask, 1.0 - mask)
             )
             value = dropped - kept  # (S, N)
             (gradient,) = torch.autograd.grad(value.sum(), mask)

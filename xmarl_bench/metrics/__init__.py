@@ -24,11 +24,11 @@ from xmarl_bench.metrics.budgeted_fidelity import (
 from xmarl_bench.metrics.fidelity import Fidelity, fidelity, prediction_change
 from xmarl_bench.metrics.mask_mass import mask_mass
 from xmarl_bench.metrics.rank_correlation import rank_correlation
-from xmarl_bench.metrics.unfaithfulness import graph_explanation_unfaithfulness, kl_divergence
+from xmarl_bench.metrics.unfaithfulness import categorical_kl, graph_explanation_unfaithfulness, kl_divergence
 
 __all__ = [
-    "Fidelity", "attention_distance", "attention_entropy", "budgeted_fidelity", "choices", "fid_delta_at_k",
-    "fid_delta_table", "fidelity", "graph_explanation_unfaithfulness", "kl_divergence", "mask_mass",
-    "mask_of_senders", "oracle_at_k", "other_senders", "others_table", "over_absences", "prediction_change",
-    "random_at_k", "rank_correlation", "rows_within", "top_k_rows",
+    "Fidelity", "attention_distance", "attention_entropy", "budgeted_fidelity", "categorical_kl", "choices",
+    "fid_delta_at_k", "fid_delta_table", "fidelity", "graph_explanation_unfaithfulness", "kl_divergence",
+    "mask_mass", "mask_of_senders", "oracle_at_k", "other_senders", "others_table", "over_absences",
+    "prediction_change", "random_at_k", "rank_correlation", "rows_within", "top_k_rows",
 ]  # fmt: skip

@@ -6,7 +6,7 @@ Source: Agarwal et al. (GraphXAI, 2023), for action distributions as in Kailas e
 
 The KL is per agent, summed over action entries, in this direction. PyG and GraphXAI compute the reverse KL; a
 joint KL over agents saturates as the team grows. The diagonal Normals under the tanh have the same KL as the
-TanhNormals, because tanh is one-to-one.
+TanhNormals, because tanh is one-to-one. For discrete actions it is the KL of the categoricals.
 """
 
 from __future__ import annotations
@@ -28,6 +28,17 @@ def kl_divergence(
     ratio = (std_p / std_q) ** 2
     shift = ((mean_p - mean_q) / std_q) ** 2
     return np.asarray((0.5 * (ratio + shift - 1.0 - np.log(ratio))).sum(axis=-1))
+
+
+def categorical_kl(log_p: NDArray[np.floating], log_q: NDArray[np.floating]) -> Floats:
+    """KL(p || q) of categoricals, two arrays (..., A) of log-probabilities -> (...), in nats."""
+    p, q = (_normalised(np.asarray(x, dtype=np.float64)) for x in (log_p, log_q))
+    return np.asarray(np.maximum((np.exp(p) * (p - q)).sum(axis=-1), 0.0))
+
+
+def _normalised(log_p: Floats) -> Floats:
+    """Log-probabilities of float32 sum to 1 up to its rounding: enough for a KL below 0."""
+    return np.asarray(log_p - np.log(np.exp(log_p).sum(axis=-1, keepdims=True)))
 
 
 def graph_explanation_unfaithfulness(kl: Floats) -> Floats:

@@ -16,7 +16,7 @@ Width = Annotated[int, Field(ge=1, le=2048)]
 Widths = Annotated[tuple[Width, ...], Field(max_length=8)]
 Activation = Literal["tanh", "relu", "elu", "leaky_relu", "silu", "identity"]
 Convolution = Literal["GATConv", "GATv2Conv", "TransformerConv"]
-DistributionKind = Literal["tanh_normal", "normal", "deterministic"]
+DistributionKind = Literal["tanh_normal", "normal", "deterministic", "categorical"]
 # How a decoder's numbers become scales; either way 0 becomes 1.
 # softplus: softplus(raw + log(e - 1)), 1e-4 at the least. torchrl: TorchRL's and BenchMARL's default
 # "biased_softplus_1.0", softplus(raw + log(e^0.99 - 1)) + 0.01.
@@ -24,15 +24,20 @@ ScaleKind = Literal["softplus", "torchrl"]
 MAX_LAYER_WIDTH = 4096  # of all heads together
 
 
+def raw_width(kind: DistributionKind, action_dim: int) -> int:
+    """How many numbers a decoder gives per agent. action_dim: entries of an action, or numbered actions."""
+    return 2 * action_dim if kind in ("tanh_normal", "normal") else action_dim
+
+
 class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Architecture(_Record):
-    """MLP encoder, one GATv2 layer with one head, MLP decoder to the (loc, scale) of a TanhNormal.
+    """MLP encoder, one GATv2 layer with one head, MLP decoder to a TanhNormal's (loc, scale), or to logits.
 
-    An empty `encoder` is the identity. On the complete graph. Source: Kailas et al. (ICML 2025), section
-    "Tasks"; their layer has no `residual`.
+    An empty `encoder` is the identity. `action_dim` of a categorical is the number of its actions. On the
+    complete graph. Source: Kailas et al. (ICML 2025), section "Tasks"; their layer has no `residual`.
     """
 
     kind: Literal["mlp-gatv2-mlp"] = "mlp-gatv2-mlp"
@@ -46,7 +51,7 @@ class Architecture(_Record):
     residual: Annotated[bool, Field(exclude_if=lambda residual: not residual)] = False
     decoder: Widths
     decoder_activation: Activation
-    distribution: Literal["tanh_normal"] = "tanh_normal"
+    distribution: Literal["tanh_normal", "categorical"] = "tanh_normal"
 
     @property
     def graph(self) -> Graph:
@@ -81,7 +86,7 @@ class GraphLayer(_Record):
 class LayeredArchitecture(_Record):
     """MLP encoder, one or more attention layers on any `Graph`, MLP decoder, any distribution.
 
-    An empty `encoder` is the identity.
+    An empty `encoder` is the identity. `action_dim` of a categorical is the number of its actions.
     """
 
     kind: Literal["mlp-layers-mlp"] = "mlp-layers-mlp"
@@ -98,14 +103,14 @@ class LayeredArchitecture(_Record):
 
     def as_one_layer(self) -> Architecture | None:
         """The same network as the record of the fast path; None where it is another."""
-        layer = self.layers[0]
+        layer, distribution = self.layers[0], self.distribution
         fits = (
             len(self.layers) == 1
             and (layer.conv, layer.heads) == ("GATv2Conv", 1)
-            and (self.distribution, self.scale) == ("tanh_normal", "softplus")
+            and self.scale == "softplus"
             and self.graph == CompleteGraph()
         )
-        if not fits:
+        if not fits or distribution not in ("tanh_normal", "categorical"):
             return None
         return Architecture(
             obs_dim=self.obs_dim,
@@ -117,6 +122,7 @@ class LayeredArchitecture(_Record):
             residual=layer.residual,
             decoder=self.decoder,
             decoder_activation=self.decoder_activation,
+            distribution=distribution,
         )
 
 

@@ -23,7 +23,7 @@ class BlackBox(Policy):
 
     def __init__(self, policy: Policy, *, attention: bool = False) -> None:
         super().__init__()
-        self.graph = policy.graph
+        self.graph, self.continuous_actions = policy.graph, policy.continuous_actions
 
         def prepare(observation: Tensor) -> Answer:
             with torch.no_grad():
@@ -55,7 +55,7 @@ class BlackBox(Policy):
         return self._row_wise
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) -> (n, A) deterministic actions, without gradient."""
+        """(n, D), (2, edges) -> (n, A): F(1), without gradient."""
         return self._forward(x, edge_index)
 
     def prepare(self, observation: Tensor) -> Answer:

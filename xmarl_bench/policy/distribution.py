@@ -18,32 +18,50 @@ TORCHRL_BIAS = math.log(math.expm1(1.0 - TORCHRL_FLOOR))
 
 
 class ActionDistribution(NamedTuple):
-    """A distribution per agent and action entry.
+    """A distribution per agent: over A action entries, each for itself, or over A numbered actions.
 
     tanh_normal: tanh of a Normal(loc, scale). normal: a Normal(loc, scale), whose draws are clipped to
     [-1, 1], as stable-baselines3 has it. deterministic: tanh(loc) and nothing else; its scale is 0, and KL is
-    undefined.
+    undefined. categorical: one of A numbered actions, of probability exp(loc); its scale is 0.
     """
 
     loc: Tensor  # (..., N, A)
-    scale: Tensor  # (..., N, A), positive but for `deterministic`
+    scale: Tensor  # (..., N, A), positive for the two Normals
     kind: DistributionKind = "tanh_normal"
 
     @property
     def action(self) -> Tensor:
-        """(..., N, A) in [-1, 1]: the deterministic action, what the metrics compare."""
+        """(..., N, A), F(m), what explainers explain and metrics compare.
+
+        The deterministic action in [-1, 1]; of a categorical the probabilities of its actions.
+        """
+        if self.kind == "categorical":
+            return self.loc.exp()
         return self.loc.clamp(-1.0, 1.0) if self.kind == "normal" else torch.tanh(self.loc)
 
+    @property
+    def choice(self) -> Tensor:
+        """What a task takes: `action`, or (..., N) the number of the likeliest, the first of equal ones."""
+        return self.loc.argmax(dim=-1) if self.kind == "categorical" else self.action
 
-def raw_width(kind: DistributionKind, action_dim: int) -> int:
-    """How many numbers a decoder gives per agent."""
-    return action_dim if kind == "deterministic" else 2 * action_dim
+    @property
+    def divisor(self) -> int:
+        """What d_i divides the sum over entries of |F_i(1) - F_i(m)| by.
+
+        A, so that d_i is a mean; of a categorical 2, so that it is the total variation distance.
+        """
+        return 2 if self.kind == "categorical" else self.loc.shape[-1]
 
 
 def action_distribution(
     raw: Tensor, kind: DistributionKind = "tanh_normal", scale: ScaleKind = "softplus"
 ) -> ActionDistribution:
-    """(..., raw_width) output of a decoder -> the distribution: locations, then scales before softplus."""
+    """(..., raw_width) output of a decoder -> the distribution.
+
+    It holds locations, then scales before softplus; locations alone; or the logits of a categorical.
+    """
+    if kind == "categorical":
+        return ActionDistribution(torch.log_softmax(raw, dim=-1), torch.zeros_like(raw), kind)
     if kind == "deterministic":
         return ActionDistribution(raw, torch.zeros_like(raw), kind)
     loc, raw_scale = raw.chunk(2, dim=-1)

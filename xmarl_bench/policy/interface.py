@@ -25,6 +25,7 @@ class Policy(nn.Module, ABC):
     """
 
     graph: Graph = CompleteGraph()  # who can hear whom
+    continuous_actions: bool = True  # False: it chooses one of numbered actions, see xmarl_envs.actions
 
     @property
     @abstractmethod
@@ -33,7 +34,7 @@ class Policy(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) -> (n, A) deterministic actions, by PyG's message passing on any graph."""
+        """(n, D), (2, edges) -> (n, A): F(1), by PyG's message passing on any graph."""
 
     @abstractmethod
     def prepare(self, observation: Tensor) -> Any:

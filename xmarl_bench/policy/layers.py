@@ -5,8 +5,7 @@ from __future__ import annotations
 from torch import Tensor, nn
 from torch_geometric.nn import GATConv, GATv2Conv, MessagePassing, TransformerConv
 
-from xmarl_bench.policy.architecture import GraphLayer, LayeredArchitecture
-from xmarl_bench.policy.distribution import raw_width
+from xmarl_bench.policy.architecture import GraphLayer, LayeredArchitecture, raw_width
 from xmarl_bench.policy.network import ACTIVATIONS, mlp
 
 

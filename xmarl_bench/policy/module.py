@@ -14,9 +14,9 @@ import torch
 from torch import Tensor, nn
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.architecture import DistributionKind, ScaleKind
+from xmarl_bench.policy.architecture import DistributionKind, ScaleKind, raw_width
 from xmarl_bench.policy.attention import attention_on
-from xmarl_bench.policy.distribution import ActionDistribution, action_distribution, raw_width
+from xmarl_bench.policy.distribution import ActionDistribution, action_distribution
 from xmarl_bench.policy.graph import CompleteGraph, FixedGraph, Graph, complete_graph, edge_index_of
 from xmarl_bench.policy.interface import Policy
 from xmarl_bench.policy.interventions import random_teams
@@ -35,8 +35,9 @@ class ModulePolicy(Policy):
     """A policy made of any module `network(x (n, D), edge_index (2, edges)) -> (n, 2A)`.
 
     The output holds the location of each action's Normal, then its scale before the biased softplus of
-    `action_distribution`; of a deterministic policy the locations alone. Agents may meet in PyG's
-    message-passing layers only, which pass one message for each edge of `graph`, in any order.
+    `action_distribution`; of a deterministic policy the locations alone, of a categorical one a logit for
+    each of `action_dim` actions. Agents may meet in PyG's message-passing layers only, which pass one message
+    for each edge of `graph`, in any order.
 
     n_agents: of the teams that the network is tried on; a FixedGraph has its own. Raises InputError for a
     network that no mask can explain, see xmarl_bench.policy.opening.
@@ -57,6 +58,7 @@ class ModulePolicy(Policy):
         self.network = network
         self.obs_dim, self.action_dim = obs_dim, action_dim
         self.distribution_kind: DistributionKind = distribution
+        self.continuous_actions = distribution != "categorical"
         self.scale_kind: ScaleKind = scale
         self.graph = CompleteGraph() if graph is None else graph
         self.eval()
@@ -72,7 +74,7 @@ class ModulePolicy(Policy):
         return self._n_calls == 1
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) -> (n, A) deterministic actions, whatever the order of the edges."""
+        """(n, D), (2, edges) -> (n, A): F(1), whatever the order of the edges."""
         edge_index = row_major(edge_index, len(x))
         with followed(self.network, edge_index, len(x)):
             return self._head(self.network(x, edge_index)).action
@@ -135,11 +137,14 @@ class ModulePolicy(Policy):
     def _check_network(self, teams: Tensor) -> int:
         """(2, N, D) -> how often the network passes messages."""
         width = raw_width(self.distribution_kind, self.action_dim)
-        holds = "location" if width == self.action_dim else "location and raw scale"
+        holds = {"categorical": "a logit for each", "deterministic": "location"}.get(
+            self.distribution_kind, "location and raw scale"
+        )
+        of_what = "action entries" if self.continuous_actions else "actions"
         adjacency = self.adjacency(teams)
         together = block_diagonal(*teams.shape[:2]) if adjacency is None else edge_index_of(adjacency)
         trial = Trial(self.network, teams, (self.edges(teams[0]), self.edges(teams[1])), together)
-        return trial.check(width, f"{holds} of {self.action_dim} action entries")
+        return trial.check(width, f"{holds} of {self.action_dim} {of_what}")
 
 
 def block_diagonal(n_graphs: int, n_agents: int) -> Tensor:

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 from torch_geometric.nn import GATv2Conv
 
-from xmarl_bench.policy.architecture import Architecture
+from xmarl_bench.policy.architecture import Architecture, raw_width
 from xmarl_bench.policy.distribution import ActionDistribution, action_distribution
 from xmarl_bench.policy.interface import Policy
 
@@ -49,6 +49,7 @@ class GraphPolicy(Policy):
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()
         self.architecture = a = architecture
+        self.continuous_actions = a.distribution != "categorical"
         self.encoder = mlp((a.obs_dim, *a.encoder), a.encoder_activation)
         encoded = a.encoder[-1] if a.encoder else a.obs_dim
         # Loops are explicit edges of the graph: with add_self_loops=True PyG would re-order them,
@@ -57,11 +58,11 @@ class GraphPolicy(Policy):
         self.gat_activation = ACTIVATIONS[a.gat_activation]()
         self.decoder = nn.Sequential(
             *mlp((a.gat_width, *a.decoder), a.decoder_activation),
-            nn.Linear(a.decoder[-1] if a.decoder else a.gat_width, 2 * a.action_dim),
+            nn.Linear(a.decoder[-1] if a.decoder else a.gat_width, raw_width(a.distribution, a.action_dim)),
         )
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) -> (n, A) deterministic actions, by PyG's message passing on any graph."""
+        """(n, D), (2, edges) -> (n, A): F(1), by PyG's message passing on any graph."""
         hidden = self.gat(self.encoder(x), edge_index)
         return self.head(hidden).action
 
@@ -97,7 +98,7 @@ class GraphPolicy(Policy):
 
     def head(self, hidden: Tensor) -> ActionDistribution:
         """(..., W) output of the layer -> the action distribution."""
-        return action_distribution(self.decoder(self.gat_activation(hidden)))
+        return action_distribution(self.decoder(self.gat_activation(hidden)), self.architecture.distribution)
 
 
 def mlp(widths: tuple[int, ...], activation: str) -> nn.Sequential:

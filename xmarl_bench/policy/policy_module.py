@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from safetensors.torch import save
 from torch import nn
 from xmarl_envs import TASKS
+from xmarl_envs.actions import action_width
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.origin.references import Origin
@@ -29,10 +30,11 @@ class PolicyModule:
     """A trained network, and what it was trained for: what a factory behind `module:factory` returns.
 
     network: forward(x (n, D), edge_index (2, edges)) -> (n, 2A), for each agent the location of its action's
-        Normal and the scale before the biased softplus; (n, A) where `distribution` is "deterministic". The
+        Normal and the scale before the biased softplus; (n, A) where `distribution` is "deterministic"; for
+        each agent a logit for each of the five actions of xmarl_envs.actions where it is "categorical". The
         rows are agents of one team or of many at once; they may meet in torch_geometric's message-passing
         layers only, which pass one message for each edge.
-    distribution: "tanh_normal", "normal" or "deterministic", see ActionDistribution.
+    distribution: "tanh_normal", "normal", "deterministic" or "categorical", see ActionDistribution.
     graph: who can hear whom.
     attention_entropy: weight of the attention-entropy term in training, 0 for none.
     """
@@ -56,7 +58,8 @@ class PolicyModule:
             raise InputError(
                 f"policy {self.name!r} is for the unknown task {self.task!r}: name one of {', '.join(TASKS)}."
             )
-        obs_dim, action_dim = len(TASKS[self.task].observation_names), 2
+        obs_dim = len(TASKS[self.task].observation_names)
+        action_dim = action_width(self.distribution != "categorical")
         try:
             card = PolicyCard(
                 name=self.name,

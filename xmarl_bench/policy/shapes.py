@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.architecture import Architecture, GraphLayer, LayeredArchitecture
+from xmarl_bench.policy.architecture import Architecture, GraphLayer, LayeredArchitecture, raw_width
 
 MAX_PARAMETERS = 16 * 1024 * 1024  # 64 MB of float32
 Shapes = dict[str, tuple[int, ...]]
@@ -33,8 +33,7 @@ def weight_shapes(architecture: Architecture | LayeredArchitecture) -> Shapes:
         for k, layer in enumerate(a.layers):
             shapes |= _layer(f"layers.{k}", widths[k], layer)
         width = widths[-1]
-    raw_width = a.action_dim if a.distribution == "deterministic" else 2 * a.action_dim
-    shapes |= _mlp("decoder", (width, *a.decoder, raw_width))
+    shapes |= _mlp("decoder", (width, *a.decoder, raw_width(a.distribution, a.action_dim)))
     total = sum(math.prod(shape) for shape in shapes.values())
     if total > MAX_PARAMETERS:
         raise InputError(

@@ -18,7 +18,7 @@ from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
-from xmarl_bench.rollout.episodes import act
+from xmarl_bench.rollout.episodes import act, with_actions_of
 
 Actions = NDArray[np.float32]
 
@@ -77,6 +77,8 @@ def record(
         )
     environment_seed = episode_seeds(seed, episode + 1)[episode]
     policy = copy.deepcopy(policy)  # memory as torch lays it out, as in a rollout
+    if policy is not None:
+        task = with_actions_of(policy, task)
     choose = _choose(task, team, policy, environment_seed)
     env = VectorEnv(task, 1, max_cycles)
     observation = env.reset([environment_seed])[0]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -49,7 +49,7 @@ def mean_metrics(task: str, episodes: Sequence[Episode]) -> dict[str, float | No
 class Act(Protocol):
     """Chooses the actions of a batch of teams."""
 
-    def __call__(self, observation: NDArray[np.float32], slots: Sequence[int], /) -> NDArray[np.float32]:
+    def __call__(self, observation: NDArray[np.float32], slots: Sequence[int], /) -> NDArray[Any]:
         """(B, N, D) observations of all slots, the slots still playing -> (B, N, 2) actions.
 
         Actions of other slots are ignored.
@@ -67,6 +67,8 @@ def roll_out(
 ) -> list[Episode]:
     """Play one episode per seed with the deterministic action, in the order of `seeds`.
 
+    Of discrete actions the likeliest is played. The task is played with the actions that the policy chooses.
+
     mask: (N, N), the team acts on F(mask) throughout; the identity removes all messages between agents.
 
     Each episode has a pymunk Space and a forward pass of its own, because matrix products round differently
@@ -74,13 +76,19 @@ def roll_out(
     bit for bit, for any `parallel_episodes`.
     """
 
-    def act_alone(observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[np.float32]:
-        action = np.zeros((len(observation), task.n_agents, 2), dtype=np.float32)
-        for slot in slots:
-            action[slot] = act(policy, observation[slot], mask)
+    def act_alone(observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[Any]:
+        chosen = [act(policy, observation[slot], mask) for slot in slots]
+        action = np.zeros((len(observation), *chosen[0].shape), chosen[0].dtype)
+        action[slots] = chosen
         return action
 
-    return play(task, act_alone, seeds, parallel_episodes=parallel_episodes, max_cycles=max_cycles)
+    return play(
+        with_actions_of(policy, task),
+        act_alone,
+        seeds,
+        parallel_episodes=parallel_episodes,
+        max_cycles=max_cycles,
+    )
 
 
 def play(
@@ -125,12 +133,17 @@ def play(
 
 
 @torch.inference_mode()
-def act(policy: Policy, observation: NDArray[np.float32], mask: Tensor | None = None) -> NDArray[np.float32]:
-    """(N, D) -> (N, A): the deterministic action of one team at one timestep."""
+def act(policy: Policy, observation: NDArray[np.float32], mask: Tensor | None = None) -> NDArray[Any]:
+    """(N, D) -> (N, A), or (N,) numbers: the deterministic action of one team at one timestep."""
     # A copy, not a view: rounding of matrix products also depends on the alignment of memory, and torch
     # aligns what it allocates itself.
     x = torch.tensor(observation)[None]
-    return np.asarray(policy.distribution(x, mask).action[0].numpy())
+    return np.asarray(policy.distribution(x, mask).choice[0].numpy())
+
+
+def with_actions_of(policy: Policy, task: Task) -> Task:
+    """The task with continuous or with discrete actions, as the policy chooses them."""
+    return replace(task, continuous_actions=policy.continuous_actions)
 
 
 @dataclass(frozen=True)

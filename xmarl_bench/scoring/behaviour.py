@@ -16,6 +16,7 @@ import copy
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,7 +30,7 @@ from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.metrics import mask_of_senders, other_senders, top_k_rows
 from xmarl_bench.policy import Policy, existing_edges
 from xmarl_bench.reproducible import derived_seed, one_thread
-from xmarl_bench.rollout.episodes import Episode, play
+from xmarl_bench.rollout.episodes import Episode, play, with_actions_of
 from xmarl_bench.scoring.states import number
 
 BLOCK = 50  # episodes: those of the protocol, in one go
@@ -72,7 +73,7 @@ class BehaviourBlock:
         try:
             with one_thread():
                 episodes = play(
-                    make_task(self.task, self.n_agents),
+                    with_actions_of(self.policy, make_task(self.task, self.n_agents)),
                     _BlockAct(self),
                     self.seeds + self.seeds,
                     parallel_episodes=2 * n,
@@ -92,7 +93,7 @@ class _BlockAct:
         self.policy = copy.deepcopy(block.policy).eval()  # memory as torch lays it out, also after a pickle
         self.n_steps = 0
 
-    def __call__(self, observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[np.float32]:
+    def __call__(self, observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[Any]:
         """(2 n, N, D) -> (2 n, N, A)."""
         block, n = self.block, len(self.block.seeds)
         parts = block.seed, block.seeds[0], self.n_steps
@@ -112,7 +113,7 @@ class _BlockAct:
         own = torch.eye(block.n_agents)
         top[BLOCK:] = 1.0 - top[BLOCK:]
         with torch.inference_mode():
-            action = self.policy.distribution(x, torch.maximum(top, own)).action.numpy()
+            action = self.policy.distribution(x, torch.maximum(top, own)).choice.numpy()
         return np.concatenate([action[:n], action[BLOCK : BLOCK + n]])
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from xmarl_envs.actions import action_width
+
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy, PolicyCard
@@ -49,10 +51,13 @@ def check_fit(card: PolicyCard, cell: Cell) -> None:
             f"policy {card.name!r} takes observations of {card.architecture.obs_dim} entries, {cell.task} "
             f"gives {task.obs_dim}: choose a policy trained for {cell.task}."
         )
-    if card.architecture.action_dim != 2:
+    continuous = card.architecture.distribution != "categorical"
+    expected = action_width(continuous)
+    if card.architecture.action_dim != expected:
+        entries = "action entries" if continuous else "actions to choose from"
         raise InputError(
-            f"policy {card.name!r} has {card.architecture.action_dim} action entries, {cell.task} takes 2: "
-            f"choose a policy trained for {cell.task}."
+            f"policy {card.name!r} has {card.architecture.action_dim} {entries}, {cell.task} takes "
+            f"{expected}: choose a policy trained for {cell.task}."
         )
     card.architecture.graph.check(cell.n_agents, task.obs_dim)
     if card.task != cell.task:

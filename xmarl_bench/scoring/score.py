@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from xmarl_bench.entry.protocol import DEFINITIONS
+from xmarl_bench.entry.protocol import definitions
 from xmarl_bench.entry.provenance import now, provenance
 from xmarl_bench.entry.schema import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry
 from xmarl_bench.errors import InputError
@@ -195,7 +195,7 @@ def _entry(
             episodes=sampling.episodes,
             seeds=tuple(sampling.seeds),
             timesteps=sampling.timesteps,
-            definitions=DEFINITIONS,
+            definitions=definitions(card.architecture.distribution),
         ),
         results=tuple(result for result, _ in cells),
         cost=total_cost([cost for _, cost in cells]),

@@ -24,6 +24,7 @@ from xmarl_bench.metrics import (
     attention_distance,
     attention_entropy,
     budgeted_fidelity,
+    categorical_kl,
     choices,
     fid_delta_at_k,
     fid_delta_table,
@@ -232,7 +233,8 @@ class States:
         """What is the policy's and no explainer's; None too where nothing attends."""
         n_agents = self.observations.shape[1]
         alone = self._decode(torch.eye(n_agents).repeat(len(self.observations), 1, 1))
-        values = {"communication_dependence": prediction_change(_action(self.full), _action(alone)).mean()}
+        change = prediction_change(_action(self.full), _action(alone), self.full.divisor)
+        values = {"communication_dependence": change.mean()}
         try:
             attention = self.policy.attention(self.observations).numpy()
             values["attention_entropy"] = attention_entropy(attention).mean()
@@ -246,12 +248,14 @@ class States:
         return self.policy.decode(self.prepared, mask)
 
     def _fidelity(self, kept: ActionDistribution, dropped: ActionDistribution) -> Fidelity:
-        return fidelity(_action(self.full), _action(kept), _action(dropped))
+        return fidelity(_action(self.full), _action(kept), _action(dropped), self.full.divisor)
 
     def _kl(self, kept: ActionDistribution) -> Floats:
         full = self.full
         if full.kind == "deterministic":
             return np.full(full.loc.shape[:-1], math.nan)
+        if full.kind == "categorical":
+            return categorical_kl(full.loc.numpy(), kept.loc.numpy())
         return kl_divergence(full.loc.numpy(), full.scale.numpy(), kept.loc.numpy(), kept.scale.numpy())
 
     def _by_forwards(self, senders: NDArray[np.floating], noise: Floats, always: Tensor) -> Ranked:

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from xmarl_envs import TASKS
 
 from xmarl_bench.entry.aggregation import BEHAVIOUR, SANITY
-from xmarl_bench.entry.protocol import DEFINITIONS, SANITY_EPISODES
+from xmarl_bench.entry.protocol import SANITY_EPISODES, definitions
 from xmarl_bench.entry.schema import (
     BudgetRow,
     CellResult,
@@ -73,7 +73,7 @@ IDENTITIES: tuple[tuple[str, str, float | str], ...] = (
 def entry_findings(entry: Entry) -> Iterator[str]:
     """Sentences, none where all is well."""
     protocol, seed = entry.protocol, entry.explainer.seed
-    if protocol.definitions != DEFINITIONS:
+    if protocol.definitions != definitions(entry.policy.architecture.distribution):
         yield f"protocol.definitions are not those of {protocol.id}."
     if list(protocol.seeds) != episode_seeds(seed, protocol.episodes):
         yield f"protocol.seeds are not those of seed {seed} and {protocol.episodes} episodes."

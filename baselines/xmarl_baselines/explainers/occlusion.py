@@ -1,8 +1,8 @@
 """Occlusion: leave one message out and see how far the action moves.
 
 Paper: Zeiler and Fergus, "Visualizing and Understanding Convolutional Networks" (ECCV 2014), for image
-patches. Formula: a_ij = d_i(1 without j -> i), the mean over action entries of |F_i(1) - F_i(m)| where m
-keeps everything but that message. In a policy of several layers, the sum of d over all agents.
+patches. Formula: a_ij = d_i(1 without j -> i), the d_i of the fidelities where m keeps everything but that
+message. In a policy of several layers, the sum of d over all agents.
 
 Departures: messages instead of patches; the mask is a / max a over the row. Redundant messages all get 0,
 because leaving out one of them changes nothing.
@@ -15,18 +15,18 @@ from torch import Tensor
 
 from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_baselines.explainers.frozen_policy import frozen
-from xmarl_bench.explain.effect import share_of_largest
+from xmarl_bench.explain.effect import action_change, share_of_largest
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.metrics.absence import Absence
-from xmarl_bench.policy import Policy
+from xmarl_bench.policy import ActionDistribution, Policy
 
 
 def changes_without(policy: Policy, observations: Tensor) -> Tensor:
     """One chunk: (S, N, D) -> (S, N, N), the change of the action without the message on each edge."""
     n_steps, n_agents, _ = observations.shape
     prepared = policy.prepare(observations)
-    full = policy.decode(prepared).action
+    full = policy.decode(prepared)
     change = observations.new_empty(n_steps, n_agents, n_agents)
     for j in range(n_agents):
         if policy.row_wise:  # all receivers at once: none depends on another's row
@@ -37,10 +37,13 @@ def changes_without(policy: Policy, observations: Tensor) -> Tensor:
     return change
 
 
-def _change(policy: Policy, prepared: object, full: Tensor, edges: tuple[int | slice, int]) -> Tensor:
-    mask = full.new_ones(len(full), full.shape[1], full.shape[1])
+def _change(
+    policy: Policy, prepared: object, full: ActionDistribution, edges: tuple[int | slice, int]
+) -> Tensor:
+    n_steps, n_agents, _ = full.loc.shape
+    mask = full.loc.new_ones(n_steps, n_agents, n_agents)
     mask[(slice(None), *edges)] = 0.0
-    return (full - policy.decode(prepared, mask).action).abs().mean(dim=-1)
+    return action_change(full, policy.decode(prepared, mask))
 
 
 def occlusion_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:

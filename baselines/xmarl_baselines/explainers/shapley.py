@@ -7,7 +7,7 @@ players and
     v_i(K) = d_i(nothing) - d_i(K kept),     a_ij = mean over orders of v_i(those before j, and j)
                                                     - v_i(those before j),
 
-with d_i the mean absolute change of the action, as in the fidelities. A row sums to d_i(nothing)
+with d_i the change of the action, as in the fidelities. A row sums to d_i(nothing)
 (efficiency). FidDelta, d_i(rest) - d_i(K), is a game with twice these values: this one plus its dual.
 
 Exact where the oracle's table of all 2^N rows exists (one message-passing layer, N <= 10). Otherwise 32
@@ -30,7 +30,7 @@ from torch import Tensor
 from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_baselines.explainers.gradient import NORMALISER
-from xmarl_bench.explain.effect import signed_to_unit
+from xmarl_bench.explain.effect import action_change, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.explain.oracle import change_table, why_no_oracle
@@ -59,14 +59,14 @@ def sampled_values(policy: Policy, observations: Tensor, seeds: list[int], pairs
     # One game per row of the mask, or one over the whole mask.
     games, players = (n_agents, n_agents) if policy.row_wise else (1, n_agents**2)
     prepared = policy.prepare(observations)
-    full = policy.decode(prepared).action
+    full = policy.decode(prepared)
 
     def change(kept: Tensor) -> Tensor:
-        action = policy.decode(prepared, kept.view(n_steps, n_agents, n_agents)).action
-        return (full - action).abs().mean(dim=-1).view(n_steps, games, -1).sum(dim=-1)  # (S, games)
+        heard = policy.decode(prepared, kept.view(n_steps, n_agents, n_agents))
+        return action_change(full, heard).view(n_steps, games, -1).sum(dim=-1)  # (S, games)
 
-    silent = change(full.new_zeros(n_steps, games, players))
-    values = full.new_zeros(n_steps, games, players)
+    silent = change(full.loc.new_zeros(n_steps, games, players))
+    values = full.loc.new_zeros(n_steps, games, players)
     for order in _orders(seeds, pairs, games, players):
         kept, before = torch.zeros_like(values), silent
         for j in order.split(1, dim=-1):

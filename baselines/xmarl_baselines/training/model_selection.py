@@ -82,7 +82,7 @@ class ModelSelection(BaseCallback):
         @torch.inference_mode()
         def act(observation: NDArray[np.float32], _: Sequence[int]) -> NDArray[np.float32]:
             # One batch, unlike scoring: the last bits do not matter here.
-            action: NDArray[np.float32] = policy.distribution(torch.from_numpy(observation)).action.numpy()
+            action: NDArray[np.float32] = policy.distribution(torch.from_numpy(observation)).choice.numpy()
             return action
 
         episodes = play(

@@ -40,8 +40,7 @@ DEFINITIONS: dict[str, str] = {
 OF_CATEGORICALS: Final[dict[str, str]] = {
     "F(m)": "probabilities of the discrete actions, of which the likeliest is played, with the message on "
     "edge j -> i scaled by m[i, j] after the softmax, nothing renormalised",
-    "fid_minus": "mean over agents of d_i(m), d_i(m) = total variation distance of F_i(1) and F_i(m)",
-    "gef": "mean over agents of 1 - exp(-KL(F_i(1) || F_i(m))), of the categoricals",
+    **{metric.name: metric.of_categoricals for metric in METRICS if metric.of_categoricals is not None},
 }
 
 

@@ -91,6 +91,7 @@ class Metric:
     column: int | None = None  # order of the board's columns, smaller first; None: not shown there
     short: str | None = None  # heading on a terminal; None: not shown there
     digits: int = 3  # shown after the decimal point
+    of_categoricals: str | None = None  # the definition for discrete actions, if it differs
     in_paper: bool = False  # one of the paper's four metrics, which every ranking shows
 
     @property
@@ -124,6 +125,7 @@ def _communication(base: Metric, column: int | None = None, short: str | None = 
         heading=f"comm. {base.heading or base.title}",
         meaning=f"{base.title} with every agent's own edge kept",
         definition=None,
+        of_categoricals=None,
         needs=tuple(Need.THREE_AGENTS if each is Need.TWO_AGENTS else each for each in base.needs),
         column=column,
         short=short,
@@ -148,6 +150,7 @@ _FID_MINUS = Metric(
     "fid_minus", "Fid-", "change of the action with the explanation alone",
     "mean over agents of d_i(m), d_i(m) = mean over action entries of |F_i(1) - F_i(m)|",
     Group.EXPLANATION, CHANGE, LOWER, "action", heading="Fid\u2212", column=3, short="Fid-", in_paper=True,
+    of_categoricals="mean over agents of d_i(m), d_i(m) = total variation distance of F_i(1) and F_i(m)",
 )  # fmt: skip
 _FID_DELTA = Metric(
     "fid_delta", "FidDelta", "Fid+ less Fid-; can be gamed", "fid_plus - fid_minus",
@@ -158,6 +161,7 @@ _GEF = Metric(
     "mean over agents of 1 - exp(-KL(F_i(1) || F_i(m))), diagonal Normals under the tanh, summed over "
     "action entries",
     Group.EXPLANATION, SHARE, LOWER, needs=(Need.DISTRIBUTION,), column=3, short="GEF", in_paper=True,
+    of_categoricals="mean over agents of 1 - exp(-KL(F_i(1) || F_i(m))), of the categoricals",
 )  # fmt: skip
 _TOPK_FID_DELTA = Metric(
     "topk_fid_delta", "FidDelta@k", "FidDelta of the k highest edges of each row, mean over k",

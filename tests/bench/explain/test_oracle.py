@@ -50,11 +50,11 @@ def test_the_table_is_the_formula_row_by_row(residual: bool) -> None:
     policy, observations = small_policy(5, 1, residual=residual), random_observations(2, 3, 5)
     with torch.no_grad():
         ((steps, table),) = action_tables(policy, observations)
-    assert (steps, tuple(table.shape)) == (slice(0, 2), (8, 2, 3, 2))
+    assert (steps, tuple(table.action.shape)) == (slice(0, 2), (8, 2, 3, 2))
     for s, r in product(range(2), range(8)):
         mask = np.tile(binary_rows(3)[r].double().numpy(), (3, 1))
         loc, _ = reference_distribution(policy, observations[s].double().numpy(), mask)
-        np.testing.assert_allclose(table[r, s].numpy(), np.tanh(loc), atol=ROUNDING)
+        np.testing.assert_allclose(table.action[r, s].numpy(), np.tanh(loc), atol=ROUNDING)
 
 
 @pytest.mark.slow
@@ -102,7 +102,7 @@ def test_chunks_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
             oracle, "DECODED_AT_ONCE", 4 * 16 * 7
         )  # seven timesteps at a time, the last alone
         parts = change_table(policy, observations)
-        widths = [len(table[0]) for _, table in action_tables(policy, observations)]
+        widths = [table.loc.shape[1] for _, table in action_tables(policy, observations)]
     assert widths == [7] * 7 + [1]
     np.testing.assert_allclose(whole, parts, atol=ROUNDING)
     assert whole[-1].max() == 0.0

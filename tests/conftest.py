@@ -1,4 +1,4 @@
-"""Fixtures of all tests: bundles of small random policies, and the command line run in this process."""
+"""Fixtures for all tests: bundles of small random policies, and the command line run in this process."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from typing import NamedTuple
 import pytest
 import typer.main
 
-# Nothing that imports torch: the process that hands out tests reads this file too.
+# Imports nothing that imports torch: the process that distributes tests reads this file too.
 
-# Ray reads these once a process, whoever is first to touch it there. A head takes work only from those who
-# have its token; workers are nice by default, and would get nothing for minutes where the machine is busy.
+# Ray reads these once per process, at its first use. A head takes work only from processes that have its
+# token. By default workers have a low priority, and on a busy machine would wait for minutes.
 os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_worker_niceness": "0"}
 
 MakeBundle = Callable[..., Path]
@@ -36,7 +36,7 @@ KILLS_WORKERS = TESTS / "bench/parallel/test_fan_out.py"
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """A folder that `-m "not ... and not ..."` leaves out is not even imported."""
+    """Does not import folders whose marker `-m "not ... and not ..."` excludes."""
     chosen: str = config.option.markexpr
     left_out = re.findall(r"not (\w+)", chosen) if re.fullmatch(r"(not \w+( and |$))+", chosen) else []
     marks = [mark for folder, mark in MARKED.items() if collection_path == TESTS / folder]
@@ -44,9 +44,8 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """The same few examples on every run and machine: what fails, fails again. No deadline, as machines are
-    busy."""
-    if session.config.option.tx:  # this process hands out tests and runs none
+    """Hypothesis tries the same few examples on every run and machine, without a deadline."""
+    if session.config.option.tx:  # this process distributes tests and runs none
         return
     from hypothesis import HealthCheck, settings
 
@@ -62,9 +61,10 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks folders. Files with slow tests first, so that no process waits long for the other's last file.
+    """Marks folders, and runs files with slow tests first, so that no process waits long for another's last
+    file.
 
-    Before all, the file that kills workers: what others' workers have imported by then, they keep.
+    The file that kills workers runs before all others.
     """
     for item in items:
         for folder, mark in MARKED.items():
@@ -72,7 +72,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(mark)
     slow = {item.path for item in items if any(map(item.get_closest_marker, {"slow", *MARKED.values()}))}
     items.sort(key=lambda item: (item.path != KILLS_WORKERS, item.path not in slow))
-    gc.freeze()  # what was imported stays: the collector need not walk through it again
+    gc.freeze()  # the collector need not scan imported objects again
 
 
 class Ran(NamedTuple):
@@ -103,7 +103,7 @@ def save_bundle(
 
 @pytest.fixture
 def make_bundle(tmp_path: Path) -> MakeBundle:
-    """make_bundle(task, n_agents, name, seed) -> a bundle of this test's own."""
+    """make_bundle(task, n_agents, name, seed) -> a bundle for one test."""
     return partial(save_bundle, tmp_path)
 
 

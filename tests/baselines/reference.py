@@ -1,4 +1,4 @@
-"""Trained policies with states they come by, and PyG's explainers run as PyG's manual says."""
+"""Trained policies with states that they reach, and PyG's explainers run as in PyG's manual."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from xmarl_bench.rollout.episodes import roll_out
 
 
 def shipped_name(task: str, n_agents: int = 3, family: Family = FAMILIES[0]) -> str:
-    """The shipped policy of seed 0 without the attention-entropy term, of that family if there is one."""
+    """The shipped policy of seed 0 without the attention-entropy term, of `family` if there is one."""
     cell = (task, n_agents, 0.0, 0)
     cards = [
         card

@@ -1,4 +1,4 @@
-"""The paper's schedules are its tables, and what is recorded of their attention is what it is."""
+"""The paper's schedules equal its tables, and the recorded attention is the team's."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_the_schedule_is_the_papers_table(task: str) -> None:
     assert model.attention_weight() == PAPER_LAMBDAS[task]  # from the first step
 
 
-def test_schedules_have_names_and_are_no_references() -> None:
+def test_schedules_have_names_and_are_not_reference_runs() -> None:
     runs = schedule_runs()
     assert len(runs) == 12
     assert not runs.keys() & reference_runs().keys()
@@ -73,7 +73,7 @@ def test_schedules_have_names_and_are_no_references() -> None:
 def test_shares_of_attention_by_hand() -> None:
     alike, self_only = np.full((2, 3, 3), 1 / 3), np.broadcast_to(np.eye(3), (2, 3, 3))
     star = np.zeros((2, 3, 3))
-    star[0, :, 1] = star[1, :, 2] = 1.0  # another one in each state
+    star[0, :, 1] = star[1, :, 2] = 1.0  # a different sender in each state
     assert paper_lambda.own_share(alike) == pytest.approx(1 / 3)
     assert paper_lambda.most_heard(alike) == pytest.approx(1 / 3)
     assert (paper_lambda.own_share(self_only), paper_lambda.most_heard(self_only)) == pytest.approx(
@@ -109,7 +109,7 @@ def test_a_team_that_hears_itself_alone_depends_on_no_message(monkeypatch: pytes
 
 
 @pytest.mark.training
-def test_a_run_is_recorded_and_becomes_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_writes_a_record_and_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = "navigation-n3-schedule-lambda10-seed0"
     short = replace(schedule_runs()[name].recipe, n_envs=4, n_steps=20, batch_size=30, n_epochs=1)
     monkeypatch.setattr(paper_lambda, "run_named", lambda _: Run(short, attention_entropy=10.0))
@@ -128,7 +128,7 @@ def test_a_run_is_recorded_and_becomes_a_row(tmp_path: Path, monkeypatch: pytest
     assert row["command"] == f"`python -m xmarl_baselines.paper_lambda {name} --iterations 3 --episodes 1`"
 
 
-def test_the_attention_looked_at_is_that_of_the_untrained_team_first(tmp_path: Path) -> None:
+def test_the_first_recorded_attention_is_of_the_untrained_team(tmp_path: Path) -> None:
     short = replace(PAPER_SCHEDULE["blind_discovery_v0"], n_envs=4, n_steps=10, batch_size=40)
     run = Run(short, attention_entropy=50.0)
     _, looks = paper_lambda.first_iterations(run, 1, tmp_path)

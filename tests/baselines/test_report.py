@@ -1,4 +1,4 @@
-"""The tables of the reference policies are what their cards say; the control and the checkpoints are real."""
+"""The tables of the reference policies agree with their cards; controls and checkpoints are as described."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from xmarl_bench.policy.bundle import load_card
 
 
 @pytest.mark.parametrize("readme", READMES, ids=lambda path: path.parent.name)
-def test_the_tables_are_not_stale(readme: Path) -> None:
+def test_the_tables_are_up_to_date(readme: Path) -> None:
     text = readme.read_text(encoding="utf-8")
     assert ":begin -->" in text
     assert filled(text) == text, "run `python -m xmarl_baselines.report`"
 
 
-def test_a_cell_states_best_median_and_paper() -> None:
+def test_a_cell_s_row_has_best_median_and_paper() -> None:
     def card(seed: int, success: float, family: str = "residual") -> PolicyCard:
         heard = {
             "success_rate": success,
@@ -72,7 +72,7 @@ def test_all_shipped_policies_together_are_small() -> None:
 
 
 @pytest.mark.slow
-def test_independent_agents_hear_nobody() -> None:
+def test_independent_agents_ignore_messages() -> None:
     model = independent_ppo.train("blind_discovery_v0", n_agents=2, frames=1, seed=0)
     policy = independent_ppo.IndependentPolicy(model)
     x = torch.randn(4, 2, 5)
@@ -83,14 +83,14 @@ def test_independent_agents_hear_nobody() -> None:
     torch.testing.assert_close(policy.distribution(x).action.reshape(-1, 2), torch.from_numpy(sb3))
 
 
-def test_checkpoints_along_training_are_of_their_moments() -> None:
+def test_checkpoints_are_the_validations_nearest_to_their_percentage() -> None:
     for folder in HERE.glob("*-at*"):
         checkpoint, finished = load_card(folder), load_card(HERE / folder.name.rsplit("-at", 1)[0])
         if checkpoint.family is None:
-            continue  # of the trainer before this one
+            continue  # of another trainer
         training = checkpoint.training
         assert training["percent"] in ship.ALONG_TRAINING
         assert training["validation"] in finished.training["curve"]
-        # The validation nearest to it: there are ten.
+        # The nearest of ten validations.
         assert abs(training["validation"]["frames"] / training["frames"] - training["percent"] / 100) < 0.05
         assert (checkpoint.initial_seed, checkpoint.family) == (finished.initial_seed, finished.family)

@@ -1,4 +1,4 @@
-"""Every registered policy loads, is filed under its own name and can be scored."""
+"""Every registered policy loads, is registered under its own name and can be scored."""
 
 from __future__ import annotations
 
@@ -36,13 +36,16 @@ def test_every_shipped_policy_loads_and_one_of_each_kind_scores(tmp_path: Path) 
         assert cell.metrics.fid_plus.n_nan == cell.metrics.gef.n_nan == 0
         dependence = cell.metrics.communication_dependence.value
         assert dependence is not None, name
-        assert dependence > 0.0, f"{name} ignores its team: every explanation of it is trivially faithful"
+        assert dependence > 0.0, f"{name} ignores messages: every explanation of it is trivially faithful"
         assert read_entry(write_entry(tmp_path, entry)) == entry
 
 
-def test_cards_state_what_is_measured_again() -> None:
-    """Success over the first eighth of the card's episodes: within what the others, and the rounding of
-    another processor, may change (a difference of 0.15 is 2.5 standard errors where one in ten fails)."""
+def test_success_in_cards_is_reproduced() -> None:
+    """Success over the first eighth of the card's episodes agrees with the card.
+
+    The tolerance of 0.15 covers the other episodes (2.5 standard errors if one in ten fails) and the rounding
+    of another processor.
+    """
     for task in TASKS:
         name = shipped_name(task)
         policy, card = load_policy(find_policies()[name])

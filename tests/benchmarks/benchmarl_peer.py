@@ -1,7 +1,7 @@
 """BenchMARL's MAPPO, with the graph-attention actor of the reference policies, as a peer of the trainer.
 
 The model is BenchMARL's GNN (full topology, GATv2Conv, self loops), then its MLP of 256, 256, as in the
-navigation policies. To be imported where BenchMARL is installed, by the `bench` extra.
+navigation policies. Needs BenchMARL, from the `bench` extra.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch_geometric.nn import GATv2Conv
 from torchrl import collectors
 
-# TorchRL has renamed some of what BenchMARL 1.5.1 imports; 1.5.2 needs another TorchRL.
+# TorchRL has renamed some names that BenchMARL 1.5.1 imports; 1.5.2 needs another TorchRL.
 collectors.SyncDataCollector = collectors.Collector
 
 from benchmarl.algorithms import MappoConfig, mappo  # noqa: E402
@@ -24,12 +24,12 @@ from benchmarl.environments import VmasTask  # noqa: E402
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig  # noqa: E402
 from benchmarl.models import GnnConfig, MlpConfig, SequenceModelConfig  # noqa: E402
 
-WIDTH, DECODER, GOAL_RADIUS = 32, [256, 256], 0.1  # of the layer, of the MLP after it, m in VMAS
-EPISODES, EVERY = 100, 60_000  # of an evaluation; frames between evaluations
+WIDTH, DECODER, GOAL_RADIUS = 32, [256, 256], 0.1  # layer, MLP after it, m in VMAS
+EPISODES, EVERY = 100, 60_000  # per evaluation; frames between evaluations
 
 
 def settings(folder: Path, **changes: object) -> ExperimentConfig:
-    """BenchMARL's own settings of an experiment, without logs and checkpoints."""
+    """BenchMARL's default settings of an experiment, without logs and checkpoints."""
     config = ExperimentConfig.get_from_yaml()
     folder.mkdir()
     quiet = {"loggers": [], "create_json": False, "render": False, "save_folder": str(folder)}
@@ -43,10 +43,10 @@ def experiment(
 ) -> Experiment:
     """MAPPO on VMAS navigation with three agents, ready to run.
 
-    task: settings of the scenario other than BenchMARL's own.
+    task: settings of the scenario that differ from BenchMARL's.
     """
     loss = mappo.ClipPPOLoss
-    if isinstance(loss, type):  # TorchRL's names of its coefficients have changed, too
+    if isinstance(loss, type):  # TorchRL has renamed its coefficients, too
         mappo.ClipPPOLoss = lambda **given: loss(
             **{f"{name}f" if name.endswith("_coef") else name: value for name, value in given.items()}
         )
@@ -81,21 +81,21 @@ def rates(rollouts: list[Any]) -> tuple[float, float]:
 
 
 class Stopped(Exception):  # noqa: N818
-    """Good enough, or out of time."""
+    """The rates are reached, or the time is over."""
 
 
 class Watch(Callback):  # type: ignore[misc]
-    """Stops a training where both rates are reached, or after `limit` CPU seconds without evaluations."""
+    """Stops a training when both rates are reached, or after `limit` CPU seconds without evaluations."""
 
     def __init__(self, success: float, collision_free: float, limit: float) -> None:
         super().__init__()
         self.aim, self.limit = (success, collision_free), limit
         self.rates, self.reached = (0.0, 0.0), False  # at the last evaluation
         self.frames, self.seconds = 0, 0.0
-        self.since = 0.0  # CPU clock of what is counted next
+        self.since = 0.0  # CPU clock since the last count
 
     def __getstate__(self) -> dict[str, Any]:
-        """BenchMARL pickles its callbacks, which hold the experiment."""
+        """Leaves out the experiment, because BenchMARL pickles its callbacks."""
         return {**self.__dict__, "experiment": None}
 
     def on_train_end(self, training_td: Any, group: str) -> None:
@@ -114,13 +114,12 @@ class Watch(Callback):  # type: ignore[misc]
 
 
 def train_until(folder: Path, success: float, collision_free: float, limit: float) -> Watch:
-    """BenchMARL's own settings of experiment, algorithm and task, until both rates are reached or `limit` CPU
-    seconds are spent."""
+    """Train with BenchMARL's defaults until both rates are reached or `limit` CPU seconds are spent."""
     config = settings(
         folder,
         evaluation_episodes=EPISODES,
         evaluation_interval=EVERY,
-        create_json=True,  # BenchMARL evaluates where somebody keeps the result
+        create_json=True,  # BenchMARL evaluates only if the result is kept
         max_n_frames=10**9,
     )
     watch = Watch(success, collision_free, limit)

@@ -1,4 +1,4 @@
-"""All benchmarks run on one thread of torch, as training and scoring do; their tables stand at the end."""
+"""All benchmarks run on one thread of torch, as training and scoring do; tables are printed at the end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def on_one_thread() -> Iterator[None]:
 
 @pytest.fixture
 def report(request: pytest.FixtureRequest) -> Report:
-    """`report(title, line)` puts a line under that title at the end of the run."""
+    """`report(title, line)` prints a line under that title at the end of the run."""
     tables = request.config.stash.setdefault(TABLES, {})
 
     def add(title: str, line: str) -> None:

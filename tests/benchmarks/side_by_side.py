@@ -1,4 +1,4 @@
-"""Two programs that do the same work, timed in turns: what else the machine does slows both."""
+"""Times two programs that do the same work in turns, so that other load on the machine slows both."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def side_by_side(
     bar: float | None,
     rounds: int = 7,
 ) -> None:
-    """Fails where ours is less than `bar` times as fast as theirs, in the median over rounds.
+    """Fails if ours is less than `bar` times as fast as theirs, in the median over rounds.
 
-    Each run takes `n_steps` steps of one environment (64 steps of a batch of 64 are 4096). A round is a run
-    of theirs and one of ours, in CPU time of this process.
+    Each run takes `n_steps` steps of one environment (64 steps of a batch of 64 are 4096). A round is one run
+    of theirs and one of ours. Times are CPU time of this process.
     """
     ours()
     theirs()
@@ -56,4 +56,4 @@ def side_by_side(
         f"{what:<60}{ours_per_s:>11,.0f}{theirs_per_s:>11,.0f}{ratio:>8.2f}"
         f" ({ratios.min():.2f}-{ratios.max():.2f})" + (f" >= {bar:g}" if bar is not None else ""),
     )
-    assert bar is None or ratio >= bar, f"{what}: {ratio:.2f} times as fast, to be {bar:g}"
+    assert bar is None or ratio >= bar, f"{what}: {ratio:.2f} times as fast, should be {bar:g}"

@@ -1,8 +1,7 @@
-"""A board of 2,000 entries: built in under a minute, and sorted in under a second in Chromium.
+"""A board of 2,000 entries builds in under a minute, and sorts in under a second in Chromium.
 
-Made entries: 200 policies with ten explainers each. The times are those of this machine at this moment, so
-they are printed, and held to the bars with nothing else on top: run it on a machine that is not busy. Beside
-the build's time is that of the processor, which others' work moves less.
+The entries are generated: 200 policies with ten explainers each. The bars hold for wall clock on this
+machine, so run it on an idle one. The build's CPU time is printed too; other load changes it less.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ def test_build(benchmark: BenchmarkFixture, many: Path) -> None:
 
 
 def test_sort(benchmark: BenchmarkFixture, many: Path, browse: Browse) -> None:
-    """From the click on a heading to the time after the next frame."""
+    """Time from the click on a heading until after the next frame."""
     build_board(many)
     page = browse(many / "index.html")
     script = """(heading) => new Promise((done) => {

@@ -1,13 +1,14 @@
-"""How fast the batched explainers are, beside PyG's own one graph at a time: `make bench`.
+"""Speed of the batched explainers compared with PyG's own, one graph at a time: `make bench`.
 
-Per explanation, at 1024 timesteps, on one thread, in CPU time of this process, on states of shipped policies:
-discovery has an ordinary network, navigation the paper's, with the largest decoder (256, 256). In every round
-PyG explains a few of the same states on the policy as it is, as its manual says, then ours all of them; the
-best round of each counts. `ratio` is what one of PyG's explanations costs divided by what one of ours does.
+CPU time of this process per explanation, at 1024 timesteps, on one thread, on states of shipped policies.
+Discovery has an ordinary network, navigation the largest decoder (256, 256). In every round PyG explains a
+few of the same states on the unmodified policy, as in its manual, then ours explains all of them; the best
+round of each counts. `ratio` is the cost of one of PyG's explanations divided by the cost of one of ours.
 
-PyG's GNNExplainer computes gradients of the policy's weights, too, which nobody asks for; GraphMask does not.
-`ratio_to_frozen` is the ratio to a PyG for which the user has switched them off. A busy machine slows PyG's
-many small steps more than our large products: only ratios of a quiet one can be quoted.
+PyG's GNNExplainer also computes unused gradients of the policy's weights; GraphMask does not.
+`ratio_to_frozen` is the ratio to PyG with these gradients switched off. A busy machine slows PyG's many small
+steps more than our large
+products: quote ratios of an idle machine only.
 """
 
 from __future__ import annotations
@@ -74,4 +75,4 @@ def test_beside_pyg_one_graph_at_a_time(
         f"{peer}, N = {n_agents}, {policy_name}".ljust(40)
         + f"{1e3 * min(as_it_is):>8.1f}{1e3 * ours:>8.3f}{ratio:>6.0f} >= {bar}{ratio_to_frozen:>8.0f}",
     )
-    assert ratio >= bar, f"{ratio:.0f} times as fast, to be {bar}"
+    assert ratio >= bar, f"{ratio:.0f} times as fast, should be {bar}"

@@ -1,6 +1,6 @@
-"""Fan-out: what a cell costs beside its work, what 2 workers gain, what memory parent and workers hold.
+"""Fan-out: the overhead of a piece, the gain from 2 workers, and the memory of parent and workers.
 
-Memory and overhead hold on a busy machine too; the gain of 2 workers can be seen only where 2 cores are idle.
+Memory and overhead hold on a busy machine too; the gain from 2 workers needs 2 idle cores.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from xmarl_bench.scoring.score import Failed, score_requests
 
 TITLE = "fan-out"
 PIECES, OVERHEAD = 5000, 0.020  # seconds per piece
-# Bytes of this process from the 1000th piece to the last: results are 20 kB, 80 MB of them.
+# Growth in bytes of this process from the 1000th piece to the last; the results of these are 80 MB.
 GROWTH = 30 * 2**20
 GAIN = 1.7
 POLICY = shipped_name("blind_passage_v0")
@@ -43,7 +43,7 @@ POLICIES = tuple(shipped_name(task) for task in TASKS)
 
 
 def test_soak(benchmark: BenchmarkFixture, report: Report, tmp_path: Path) -> None:
-    """5,000 pieces of no work at all, each result written into the cache."""
+    """5,000 pieces without work, each result written into the cache."""
     cache = Cache(tmp_path)
     cache.prepare()
     sizes: dict[int, int] = {}
@@ -77,7 +77,7 @@ def _numbers() -> Iterator[int]:
 
 
 def test_two_workers_over_one(benchmark: BenchmarkFixture, report: Report, tmp_path: Path) -> None:
-    """What `make score` does on four of its policies, from nothing, in turns."""
+    """Scores four policies of `make score` without a cache, with one and two workers in turns."""
     if (os.cpu_count() or 1) < 2:
         pytest.skip("needs two cores")
     policies = [load_policy(find_policies()[name]) for name in POLICIES]
@@ -119,7 +119,7 @@ def test_two_workers_over_one(benchmark: BenchmarkFixture, report: Report, tmp_p
 
 
 def test_memory_and_size_of_a_unit(benchmark: BenchmarkFixture, report: Report) -> None:
-    """What a worker holds that scores the largest team's policy, and what it costs to hand it an episode."""
+    """Memory of a worker that scores the largest team's policy, and the cost of sending it episodes."""
     policy, card = load_policy(find_policies()[POLICY])
     seeds = list(range(10**12, 10**12 + 10))
     episodes = roll_out(make_task(card.task, card.n_agents), policy, seeds)

@@ -1,8 +1,7 @@
-"""The oracle beside one batched GNNExplainer, on the same states in the same run: `make bench`.
+"""The oracle costs less than one batched GNNExplainer on the same states in the same run: `make bench`.
 
-1024 timesteps of the shipped navigation policy, whose decoder is the largest of all tasks
-(256, 256): what the oracle does most of. `gnn_explainer_over_oracle` is the ratio of their times on
-one thread.
+1024 timesteps of the shipped navigation policy. Its decoder is the largest of all tasks (256, 256), and takes
+most of the oracle's time. `gnn_explainer_over_oracle` is the ratio of their times on one thread.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ def test_the_oracle_costs_less_than_one_gnn_explainer(benchmark: BenchmarkFixtur
         theirs = seconds(lambda: gnn_explainer.explain(policy, observations, generator))
         return theirs / seconds(lambda: oracle_mask(policy, observations, generator))
 
-    ratios = [ratio() for _ in range(3)]  # side by side: what else the machine does slows both
+    ratios = [ratio() for _ in range(3)]  # in turns, so that other load slows both
     benchmark(oracle_mask, policy, observations, generator)
     benchmark.extra_info["gnn_explainer_over_oracle"] = round(float(np.median(ratios)), 1)
     assert np.median(ratios) > 1.0

@@ -1,12 +1,13 @@
-"""How fast episodes step, beside VMAS and MPE2: `make bench`, the table at its end.
+"""Speed of episodes compared with VMAS and MPE2: `make bench`, the table at its end.
 
-Everybody steps three agents for 400 cycles with observations, rewards and endings, and begins anew whatever
-has ended; no episode is longer than 400 cycles. Actions are random, drawn beforehand, and held for 10 cycles,
-so that agents get about; ours and VMAS take the same ones. Torch gets one thread; ours is single-threaded.
+Each steps three agents for 400 cycles with observations, rewards and endings, and resets what has ended; no
+episode is longer than 400 cycles. Actions are random, drawn beforehand, and held for 10 cycles, so that
+agents move about; ours and VMAS take the same ones. Torch gets one thread; ours is single-threaded.
 
-VMAS runs its own navigation with contacts; only the lidar is taken out, which blind agents do not have. It
-does not reset by itself: `reset()` where all of a batch have ended (nearly all do after 400 cycles), which is
-its quickest, `reset_at` else. MPE2's simple_spread is another task, of three agents that may touch, too.
+VMAS runs its own navigation with contacts, without the lidar, which blind agents do not have. It does not
+reset by
+itself: we call `reset()`, its fastest way, if all of a batch have ended (nearly all do after 400 cycles), and
+`reset_at` otherwise. MPE2's simple_spread is another task, also of three agents that may touch.
 """
 
 from __future__ import annotations
@@ -135,7 +136,7 @@ def test_a_batch(benchmark: BenchmarkFixture, report: Report, n_episodes: int, b
 
 
 def test_a_batch_as_scored(benchmark: BenchmarkFixture, report: Report) -> None:
-    """A Space for each episode: no bar was set for it."""
+    """One Space per episode; without a bar."""
     benchmark.group = "64 episodes"
     ours, theirs = our_batch(64, copies_per_space=1), vmas_batch(64)
     what = "64 episodes, a Space each (scoring) / VMAS"
@@ -156,7 +157,7 @@ def our_physics(n_episodes: int) -> Run:
 
 
 def bare_space(n_episodes: int, moves_per_step: int) -> Run:
-    """One Space with all agents, flying about with what speed they have: no force is set, nothing is read."""
+    """Only `step` of one Space with all agents in flight: no forces set, nothing read."""
     rng = np.random.default_rng(0)
     space = pymunk.Space()
     discs, places = [], []
@@ -181,9 +182,9 @@ def bare_space(n_episodes: int, moves_per_step: int) -> Run:
 def test_physics_alone(
     benchmark: BenchmarkFixture, report: Report, moves_per_step: int, bar: float | None
 ) -> None:
-    """Ours looks for contacts MOVES times in a step: a Space has to be stepped as often for that.
+    """Ours checks for contacts MOVES times in a step, so the bare Space is stepped as often.
 
-    The other is stepped twice, as often as VMAS steps, and its discs get three times as deep into each other.
+    The other one is stepped twice, as often as VMAS, so its discs overlap three times as deep.
     """
     benchmark.group = "physics of 64 episodes"
     ours, theirs = our_physics(64), bare_space(64, moves_per_step)

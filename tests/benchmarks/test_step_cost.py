@@ -1,6 +1,6 @@
-"""Where the time of a step goes, and what it costs by team size: `make bench`, the tables at its end.
+"""The parts of a step's time, and its growth with the team size: `make bench`, the tables at its end.
 
-Random actions as in test_speed.py. No peers here, no bars: the tables of envs/README.md.
+Random actions as in test_speed.py. No peers and no bars: these are tables of envs/README.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tests.benchmarks.conftest import Report
 from tests.benchmarks.side_by_side import Run
 from tests.benchmarks.test_speed import CYCLES, HELD, SHARED, our_batch, our_episode
 
-# What the time of a step is spent on; each part is the time in its functions less that in those further up.
+# The parts of a step's time: each is the time in its functions, less the time in functions listed before it.
 PARTS: dict[str, tuple[tuple[type[Any], str], ...]] = {
     "physics": ((World, "step"),),
     "reward and ending": ((BlindNavigation, "judge"),),
@@ -34,11 +34,11 @@ PARTS: dict[str, tuple[tuple[type[Any], str], ...]] = {
 
 
 class Stopwatch:
-    """How long each call of some functions takes, without what it spends in one another."""
+    """Times each call of the watched functions, without the time in other watched functions."""
 
     def __init__(self) -> None:
         self.calls: dict[str, list[float]] = {part: [] for part in PARTS}  # s
-        self._inner = [0.0]  # s in watched functions, of each that is running
+        self._inner = [0.0]  # s in watched functions, for each running call
 
     def watch(self, function: Callable[..., Any], part: str) -> Callable[..., Any]:
         def watched(*args: Any, **kwargs: Any) -> Any:
@@ -54,9 +54,9 @@ class Stopwatch:
         return watched
 
     def spent(self, part: str) -> float:
-        """Seconds in all. A call of several times the median was interrupted by another process.
+        """Total seconds. Calls of several times the median count as interrupted by another process.
 
-        Resets are taken as they are: one may begin a single episode and another all of them.
+        Not so resets: one may begin a single episode and another all of them.
         """
         calls = np.array(self.calls[part])
         if part != "resets":
@@ -111,7 +111,7 @@ def test_shares_of_a_step(
 def test_team_size(
     benchmark: BenchmarkFixture, report: Report, name: str, n_agents: int, n_episodes: int
 ) -> None:
-    """One episode in its own Space, and 64 that share Spaces; what has ended begins anew."""
+    """One episode in its own Space, and 64 that share Spaces; ended episodes are reset."""
     benchmark.group = f"{name}, {n_episodes} episodes"
     n_cycles = max(HELD, CYCLES // (n_agents if n_episodes > 1 else 1) // HELD * HELD)
     env = VectorEnv(make_task(name, n_agents), n_episodes, copies_per_space=n_episodes)
@@ -145,7 +145,7 @@ def test_team_size(
     [("blind_navigation_v0", 3), ("blind_navigation_v0", 64), ("blind_passage_v0", 5)],
 )
 def test_heuristic(benchmark: BenchmarkFixture, report: Report, name: str, n_agents: int) -> None:
-    """One episode's actions, along the first 50 cycles that they make."""
+    """The heuristic's actions over the first 50 cycles of an episode."""
     task = make_task(name, n_agents)
     env = VectorEnv(task)
     env.reset([0])

@@ -1,14 +1,14 @@
-"""How fast the trainer is, beside BenchMARL's MAPPO: `make bench`.
+"""Speed of the trainer compared with BenchMARL's MAPPO: `make bench`.
 
 One iteration of the paper's schedule for navigation (Kailas et al., ICML 2025: 18,000 frames, then 30 epochs
-in minibatches of 800), one thread, in CPU time: what other work on the machine takes does not count.
-BenchMARL plays VMAS navigation with `collisions=False`, which takes away the lidar that blind agents lack,
-and contacts too: it computes less than ours does. Its model is described in benchmarl_peer.py.
+in minibatches of 800), on one thread, in CPU time, so other load on the machine does not count. BenchMARL
+plays VMAS navigation with `collisions=False`, which removes the lidar that blind agents lack, but also
+contacts: it computes less than ours. Its model is described in benchmarl_peer.py.
 
-Beside it, the time to a good team: our recipe on our task, BenchMARL's own settings on VMAS navigation.
+Also the time to a good team: our recipe on our task, BenchMARL's default settings on VMAS navigation.
 
-"Of the matrix peak" is the part of the speed of a large float32 matrix product on this thread that the matrix
-products of the update reach, all else included.
+"Of the matrix peak" is the speed of the update's matrix products, all its other work included, relative to a
+large float32 matrix product on this thread.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FRAMES = SCHEDULE.n_envs * SCHEDULE.n_steps
 ROUNDS = 2  # iterations of ours and of BenchMARL
 SIZES, TURNS, SHORTER = (3, 4, 5, 8), 5, 10
 FASTER_THAN_BENCHMARL = 1.5  # bar
-SUCCESS, COLLISION_FREE, LONGER = 0.95, 0.90, 4.0  # rates to reach; where BenchMARL is stopped, in our times
+SUCCESS, COLLISION_FREE, LONGER = 0.95, 0.90, 4.0  # rates to reach; BenchMARL's time limit, in our times
 
 
 class Parts(NamedTuple):
@@ -55,7 +55,7 @@ class Parts(NamedTuple):
 
 
 def ours(n_agents: int, **changes: Any) -> MAPPO:
-    """The paper's learner, untrained."""
+    """The untrained learner of the paper's schedule."""
     return build(Run(replace(SCHEDULE, **changes), n_agents), seed=0)
 
 
@@ -67,9 +67,9 @@ def iteration(model: MAPPO) -> Parts:
 
 
 def benchmarl_peer() -> ModuleType:
-    """Skips where BenchMARL is not installed."""
+    """Skips if BenchMARL is not installed."""
     if find_spec("benchmarl") is None:
-        pytest.skip("BenchMARL is of the `bench` extra")
+        pytest.skip("BenchMARL is not installed: install the `bench` extra")
     return import_module("tests.benchmarks.benchmarl_peer")
 
 
@@ -104,7 +104,7 @@ def matrix_peak() -> float:
 
 
 def update_operations(model: MAPPO, n_agents: int) -> float:
-    """Of the matrix products of one iteration's update: 2 forward and 4 backward per weight and row."""
+    """Operations in the matrix products of one update: 2 forward and 4 backward per weight and row."""
     actor, critic = (
         sum(layer.weight.numel() for layer in network.modules() if isinstance(layer, nn.Linear))
         for network in (model.policy.actor, model.policy.critic)
@@ -114,7 +114,7 @@ def update_operations(model: MAPPO, n_agents: int) -> float:
 
 @pytest.mark.benchmark(timer=time.process_time)
 def test_growth_with_the_team(benchmark: BenchmarkFixture, report: Report) -> None:
-    """Team sizes in turns, with a tenth of the epochs; the update's time is multiplied by ten."""
+    """Times team sizes in turns with a tenth of the epochs, and multiplies the update's time by ten."""
     models = {n_agents: ours(n_agents, n_epochs=SCHEDULE.n_epochs // SHORTER) for n_agents in SIZES}
     turns: dict[int, list[Parts]] = {n_agents: [] for n_agents in SIZES}
 
@@ -142,7 +142,7 @@ def test_growth_with_the_team(benchmark: BenchmarkFixture, report: Report) -> No
 
 @pytest.mark.benchmark(timer=time.process_time)
 def test_iteration_beside_benchmarl(benchmark: BenchmarkFixture, report: Report, tmp_path: Path) -> None:
-    """In turns; the ratio of the better of ROUNDS each."""
+    """In turns; the ratio of the best of ROUNDS each."""
     peer = benchmarl_peer()
     model, theirs = ours(3), list[float]()
 
@@ -185,11 +185,11 @@ class _Reached(Exception):  # noqa: N818
 def test_time_to_success_beside_benchmarl(
     benchmark: BenchmarkFixture, report: Report, tmp_path: Path
 ) -> None:
-    """CPU seconds until agents arrive and do not touch, by our recipe and by BenchMARL's own settings.
+    """CPU seconds until both rates are reached, with our recipe and with BenchMARL's default settings.
 
     Ours validates at each tenth of training, BenchMARL every 60,000 frames, on 100 deterministic episodes
-    each; validation is not counted. BenchMARL is stopped at LONGER times our time. Its agents are not blind:
-    VMAS navigation gives them lidar where agents can touch. A contact is one that VMAS penalises.
+    each; validation time is not counted. BenchMARL is stopped at LONGER times our time. Its agents are not
+    blind: VMAS navigation gives them lidar if agents can touch. A contact is one that VMAS penalises.
     """
     peer = benchmarl_peer()
     spent: dict[str, float] = {}

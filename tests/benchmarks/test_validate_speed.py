@@ -1,7 +1,7 @@
-"""`xmarl-bench validate` in a process of its own, start and imports included: under 2 s of processor time.
+"""`xmarl-bench validate` in its own process takes under 2 s of CPU time, start and imports included.
 
-The entry and the bundle are those of the largest team on the board, all 50 episodes; a bundle that is refused
-is that one with a byte of its weights turned over, under checksums that fit: found last of all.
+Entry and bundle are of the largest team on the board, with all 50 episodes. The refused bundle is the same
+with one byte of its weights changed and valid checksums: the last fault that validation finds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ENTRIES = Path(__file__).parents[2] / "leaderboard" / "entries"
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, int]]:
-    """What is validated, and the exit code."""
+    """Paths to validate, each with the expected exit code."""
     folder = tmp_path_factory.mktemp("made")
     path = max(ENTRIES.glob("*.json"), key=lambda path: path.stat().st_size)
     entry = as_submitted(read_entry(path), "somebody", None)
@@ -58,6 +58,6 @@ def test_validate(benchmark: BenchmarkFixture, made: dict[str, tuple[Path, int]]
 
 
 def _cpu() -> float:
-    """Seconds of processor time of the processes that have ended."""
+    """CPU seconds of child processes that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime

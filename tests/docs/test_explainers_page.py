@@ -1,4 +1,4 @@
-"""Code and commands of docs/explainers.md run as they stand there."""
+"""Code and commands of docs/explainers.md run unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/metrics.md lists the metrics of the table, and speaks of every control."""
+"""docs/metrics.md lists the metrics of the table, and explains every control."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "metrics.md").read_text(encoding="utf-8")
 
 
-def test_its_tables_are_made_of_the_table() -> None:
-    """Otherwise run docs/make_metric_tables.py."""
+def test_its_tables_equal_the_table_of_metrics() -> None:
+    """If this fails, run docs/make_metric_tables.py."""
     assert runpy.run_path(str(DOCS / "make_metric_tables.py"))["page"](PAGE) == PAGE
 
 

@@ -1,4 +1,4 @@
-"""The notebooks run as they stand, and end with a picture."""
+"""The notebooks run unchanged, and end with a picture."""
 
 from __future__ import annotations
 

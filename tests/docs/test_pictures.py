@@ -1,4 +1,4 @@
-"""The pictures of README.md and envs/README.md are what docs/make_pictures.py makes now."""
+"""The pictures of README.md and envs/README.md equal the output of docs/make_pictures.py."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ def test_no_picture_is_missing(made: dict[str, Image.Image]) -> None:
 
 @pytest.mark.parametrize("name", ["tasks", "blind_navigation_v0", "blind_passage_v0", "blind_discovery_v0"])
 def test_pictures_are_up_to_date(name: str, made: dict[str, Image.Image]) -> None:
-    """Seen from afar, for text and edges depend on the version of pygame. Otherwise run docs/make_pictures.py
-    and look at what it made.
+    """Compared at an eighth of the size, because text and edges depend on the version of pygame.
+
+    If this fails, run docs/make_pictures.py and look at the pictures.
     """
     with Image.open(DOCS / f"{name}.png") as image:
         kept = image.convert("RGB")

@@ -1,4 +1,4 @@
-"""docs/policies.md: its examples run, and what it says is bounded is bounded so."""
+"""docs/policies.md: its examples run, and its bounds are those of the code."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 
-def test_the_bundle_of_the_page_is_made(tmp_path: Path) -> None:
+def test_the_bundle_of_the_page_loads(tmp_path: Path) -> None:
     exec(compile(blocks("python")[0], "policies.md", "exec"), {"folder": tmp_path})
     policy, card = load_policy(tmp_path)
     assert card.name == "mine"
     assert not policy.row_wise
 
 
-def test_the_networks_of_the_page_are_taken(tmp_path: Path) -> None:
+def test_the_networks_of_the_page_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(blocks("python")[1])
     policy, card = open_policy(f"{tmp_path}/mine.py:make", trust_code=True)
     assert card.architecture.graph == CompleteGraph(loops=False)
@@ -48,7 +48,7 @@ def test_the_networks_of_the_page_are_taken(tmp_path: Path) -> None:
     torch.testing.assert_close(alpha.sum(dim=-1), torch.ones(2, 3))
 
 
-def test_the_key_map_of_the_page_is_one() -> None:
+def test_the_key_map_of_the_page_is_valid() -> None:
     (text,) = blocks("json")
     assert rename({}, json.loads(text)) == {}
 

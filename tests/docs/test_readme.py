@@ -1,4 +1,4 @@
-"""Code in the README runs as it stands there."""
+"""Code in the README runs unchanged, and its ranking is the board's."""
 
 from __future__ import annotations
 
@@ -32,6 +32,6 @@ def test_the_other_examples_run(block: str) -> None:
 
 
 def test_the_ranking_is_that_of_the_board() -> None:
-    """Otherwise run docs/make_ranking.py."""
+    """If this fails, run docs/make_ranking.py."""
     made = runpy.run_path(str(ROOT / "docs" / "make_ranking.py"))
     assert made["page"](README, made["built"]()) == README

@@ -1,4 +1,4 @@
-"""docs/scaling.md says what the entries of the leaderboard cost now, and its options are the commands'."""
+"""docs/scaling.md states the cost of the leaderboard's entries, and its options exist."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PAGE = (ROOT / "docs" / "scaling.md").read_text(encoding="utf-8")
 
 @pytest.mark.slow
 def test_costs_are_those_of_the_entries() -> None:
-    """Otherwise run docs/make_scaling.py."""
+    """If this fails, run docs/make_scaling.py."""
     made = runpy.run_path(str(ROOT / "docs" / "make_scaling.py"))
     assert made["page"](PAGE, made["measured"]()) == PAGE
 

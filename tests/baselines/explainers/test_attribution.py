@@ -1,4 +1,4 @@
-"""Gradients, occlusion, Shapley values: held to finite differences, Captum, all orders and their axioms."""
+"""Gradients, occlusion and Shapley values against finite differences, Captum, all orders and their axioms."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def change(policy: Policy, x: Tensor, mask: Tensor) -> Tensor:
 
 
 def silence(policy: Policy, x: Tensor) -> Tensor:
-    """(S, N): what removing all messages changes."""
+    """(S, N): the change caused by removing all messages."""
     return change(policy, x, torch.zeros(len(x), x.shape[1], x.shape[1], dtype=x.dtype))
 
 
@@ -71,7 +71,7 @@ def test_integrated_gradients_are_complete(name: str) -> None:
     ],
 )
 @pytest.mark.parametrize("residual", [False, True])
-def test_captum_says_the_same(
+def test_captum_gives_the_same_attributions(
     method: str, arguments: dict[str, object], levels: list[float], residual: bool
 ) -> None:
     policy, x = small_policy(6, 3, residual=residual), random_observations(3, 3, 6)
@@ -86,7 +86,7 @@ def test_captum_says_the_same(
     [small_policy(6, 2), small_policy(6, 2, residual=True), one_layer(6), two_layers(6)],
     ids=["fast", "residual", "1", "2"],
 )
-def test_occlusion_is_leaving_out_one_edge(policy: Policy) -> None:
+def test_occlusion_is_the_change_without_one_edge(policy: Policy) -> None:
     x = random_observations(3, N, 6)
     with torch.no_grad():
         ours = changes_without(policy, x)
@@ -120,7 +120,7 @@ def test_shapley_values_are_the_mean_over_all_orders() -> None:
 def test_shapley_axioms(n_agents: int, seed: int, residual: bool) -> None:
     policy, x = small_policy(6, seed, residual=residual), random_observations(3, n_agents, 6, seed)
     if n_agents > 2:
-        x[:, 2] = x[:, 1]  # two senders nobody can tell apart
+        x[:, 2] = x[:, 1]  # two identical senders
     values = torch.from_numpy(exact_values(change_table(policy, x)))
     torch.testing.assert_close(
         values.sum(dim=-1).float(), silence(policy, x), rtol=0, atol=1e-5

@@ -1,4 +1,4 @@
-"""What every shipped explainer promises: no traces, no leaks, repeatable, chunk by chunk, on any policy."""
+"""Promises of every shipped explainer: no side effects, repeatable, independent of chunks, on any policy."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.policy import GraphPolicy, ModulePolicy, Policy
 
 SHIPPED = shipped_explainers()
-# PyG's own, unmodified: the first leaves settings on its class for whoever comes next.
+# PyG's own, unmodified: the first leaves settings on its class, which the next one could pick up.
 UNMODIFIED = [
     Explainer("pg, one large weight", PygExplain(lambda: PGExplainer(epochs=2, lr=0.1, edge_size=50.0))),
     Explainer("pg", PygExplain(lambda: PGExplainer(epochs=2, lr=0.1))),
@@ -58,7 +58,7 @@ def straight(explainer: Explainer, policy: Policy, observations: Tensor, seed: i
 
 
 def everything_of(module: nn.Module) -> dict[str, Any]:
-    """What could be told apart from outside: weights, gradients, flags, and the hooks of every submodule."""
+    """The observable state of a module: weights, gradients, flags, and the hooks of every submodule."""
     state: dict[str, Any] = {name: part.tolist() for name, part in module.state_dict().items()}
     for name, parameter in module.named_parameters():
         state[f"{name}.flags"] = parameter.requires_grad, parameter.grad is None
@@ -72,7 +72,7 @@ def everything_of(module: nn.Module) -> dict[str, Any]:
     return state
 
 
-def test_there_is_a_file_for_every_explainer_and_a_paper_in_it() -> None:
+def test_every_explainer_has_a_file_that_names_its_paper() -> None:
     names = {explainer.name for explainer in SHIPPED}
     assert {name for name in names if not name.endswith(SUFFIX)} == {
         "attention", "attention-rowmax", "gnn_explainer", "gnn_explainer-tuned", "gradient", "graphmask",
@@ -93,7 +93,7 @@ def test_attention_is_what_pyg_calls_attention(residual: bool) -> None:
     theirs = torch.stack([by_pyg(policy, AttentionExplainer(), x) for x in observations])
     torch.testing.assert_close(mask, theirs, rtol=0, atol=1e-6)
     torch.testing.assert_close(mask.sum(-1), torch.ones(6, 4))
-    assert not torch.allclose(mask, mask.transpose(1, 2))  # so the test would see rows and columns mixed up
+    assert not torch.allclose(mask, mask.transpose(1, 2))  # so a transposed mask would fail
 
 
 def test_attention_of_several_heads_and_layers_sums_to_one_where_pygs_does_not() -> None:
@@ -149,7 +149,7 @@ def test_an_explainer_repeats_and_only_the_stochastic_depend_on_the_seed(explain
 
 @pytest.fixture(scope="module")
 def alone() -> dict[str, Tensor]:
-    """What each explainer says on objects of its own."""
+    """The mask of each explainer on its own copies of policy and states."""
     return {
         explainer.name: straight(explainer, small_policy(6, 4, (8,)), random_observations(2, 3, 6), 5)
         for explainer in [*SHIPPED, *UNMODIFIED]
@@ -162,8 +162,8 @@ def alone() -> dict[str, Tensor]:
 def test_no_explainer_leaks_into_the_next_whatever_the_order(
     alone: dict[str, Tensor], order: list[Explainer]
 ) -> None:
-    """On the very same objects, with no copies between: each says what it says alone."""
-    assert (alone["pg"] - alone["pg, one large weight"]).abs().max() > 0.01  # so a leak would show
+    """On shared objects, without copies, each gives the same mask as alone."""
+    assert (alone["pg"] - alone["pg, one large weight"]).abs().max() > 0.01  # so a leak would fail
     policy, observations = small_policy(6, 4, (8,)), random_observations(2, 3, 6)
     for explainer in order:
         mask = straight(explainer, policy, observations, 5)
@@ -174,7 +174,7 @@ def test_no_explainer_leaks_into_the_next_whatever_the_order(
 @each
 def test_chunks_change_nothing_but_rounding(explainer: Explainer, monkeypatch: pytest.MonkeyPatch) -> None:
     if explainer is graphmask_pyg:
-        pytest.skip("one rounding decides which side of the midpoint a gate is on, as in PyG itself")
+        pytest.skip("rounding may move a gate across the midpoint, as in PyG itself")
     policy, observations = small_policy(6, 5), random_observations(7, 3, 6)
     whole = run(explainer, policy, observations, 1)
     monkeypatch.setattr(batching, "AGENTS_AT_ONCE", 6)
@@ -185,7 +185,7 @@ def test_chunks_change_nothing_but_rounding(explainer: Explainer, monkeypatch: p
 
 
 @each
-def test_timesteps_do_not_see_one_another(explainer: Explainer) -> None:
+def test_a_timestep_s_mask_does_not_depend_on_other_timesteps(explainer: Explainer) -> None:
     policy, observations = small_policy(6, 3), random_observations(3, 3, 6)
     one = run(explainer, policy, observations, 1)
     changed = observations.clone()
@@ -201,7 +201,7 @@ def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer, r
     policy, observations = small_policy(6, 6, residual=residual), random_observations(4, 3, 6)
     fast = run(explainer, policy, observations, 3)
     generic = run(explainer, ModulePolicy(Opened(policy), 6), observations, 3)
-    # Small changes of actions, divided by the largest of a row, show float32's rounding.
+    # Small changes of actions, divided by the row's largest, amplify float32's rounding.
     torch.testing.assert_close(fast, generic, rtol=0, atol=1e-4)
 
 
@@ -217,7 +217,7 @@ def test_agents_that_hear_nobody_get_rows_of_zeros(explainer: Explainer) -> None
 
 @pytest.mark.slow
 @each
-def test_policies_without_attention_are_explained_by_all_that_need_none(explainer: Explainer) -> None:
+def test_policies_without_attention_are_explained_by_explainers_that_need_none(explainer: Explainer) -> None:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         policy = ModulePolicy(GraphConv(6, 4), 6)
@@ -252,9 +252,9 @@ from xmarl_baselines.explainers import gnn_explainer
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.messages_only import SUFFIX
 from xmarl_bench.explain.explainer import run_explainer
-gnn_explainer.SETTINGS = replace(gnn_explainer.SETTINGS, epochs=3)  # as much memory as 100, sooner
+gnn_explainer.SETTINGS = replace(gnn_explainer.SETTINGS, epochs=3)  # as much memory as 100, in less time
 for name in sys.argv[1:]:
-    if os.fork():  # a peak never falls: each has a process of its own
+    if os.fork():  # peak memory never falls, so each runs in its own process
         os.wait()
         continue
     (plugin,) = [p for p in entry_points(group="xmarl_bench.explainers") if p.name == name]

@@ -1,4 +1,4 @@
-"""The frozen copy is the same function, with the same gradient of the mask, and the policy stays as it is."""
+"""The frozen copy is the same function with the same gradient of the mask; the policy is unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""GNNExplainer: batched, it is PyG's own one graph at a time, on trained policies too."""
+"""The batched GNNExplainer equals PyG's own, one graph at a time, on trained policies too."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def test_batched_equals_pyg_one_graph_at_a_time_on_trained_policies(name: str) -
     policy, observations = trained(name, 3)
     ours = run_explainer(gnn_explainer, policy, observations, 7)
     theirs = pyg_masks(policy, observations, 7)
-    # A hundred steps of Adam make of a rounding in float32 what is small beside the 0.1 below.
+    # A hundred steps of Adam amplify float32's rounding, but it stays far below the 0.1 of the next line.
     torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-3)
     first = random_logits(3, timestep_seeds(3, torch.Generator().manual_seed(7))).sigmoid()
-    assert (ours - first).abs().max() > 0.1  # the hundred steps did something
+    assert (ours - first).abs().max() > 0.1  # the optimisation changed the mask
 
 
 @pytest.mark.slow
@@ -49,7 +49,7 @@ def test_batched_equals_pyg_one_graph_at_a_time(residual: bool) -> None:
 
 
 @pytest.mark.slow
-def test_larger_teams_are_no_different() -> None:
+def test_batched_equals_pyg_for_larger_teams() -> None:
     policy, observations = trained(TRAINED[2], 2, n_agents=8)
     ours = run_explainer(gnn_explainer, policy, observations, 3)
     torch.testing.assert_close(ours, pyg_masks(policy, observations, 3), rtol=0, atol=1e-3)
@@ -97,7 +97,7 @@ def test_the_default_result_is_mostly_its_random_start() -> None:
     assert abs(correlation(one, two)) < 0.3
 
 
-def test_timesteps_do_not_see_one_another() -> None:
+def test_a_timestep_s_mask_does_not_depend_on_other_timesteps() -> None:
     policy, observations = small_policy(6, 3), random_observations(5, 3, 6)
     start = random_logits(3, [1, 2, 3, 4, 5])
     settings = GNNExplainerSettings(epochs=30)
@@ -125,11 +125,11 @@ def test_tuned_starts_from_zero_draws_nothing_and_changes_the_action_less() -> N
                 policy.distribution(observations, mask).action for mask in (None, tuned, default)
             )
         assert (full - small).square().mean() < (full - large).square().mean()
-        assert tuned.mean() < 0.99  # and not by keeping everything
+        assert tuned.mean() < 0.99  # not by keeping everything
 
 
-def test_a_tuned_mask_keeps_what_symmetry_says() -> None:
-    """Two senders nobody can tell apart get the same mask; a random start tells them apart."""
+def test_a_tuned_mask_is_equal_for_identical_senders() -> None:
+    """Identical senders get the same mask; from a random start they do not."""
     policy, observations = small_policy(6, 3), random_observations(5, 4, 6)
     observations[:, 2] = observations[:, 1]
     tuned = run_explainer(gnn_explainer_tuned, policy, observations, 1)

@@ -1,4 +1,4 @@
-"""GraphMask: PyG's bugs reproduced to the bit of a mask, and what the corrected one is instead."""
+"""GraphMask: PyG's masks are reproduced exactly, bugs included; the corrected one follows its formula."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from xmarl_bench.explain.explainer import run_explainer
 from xmarl_bench.policy import GraphPolicy
 
 DEFAULTS = GraphMaskPygSettings()
-# With the defaults nearly every mask is empty; with these training matters and masks differ.
+# With the defaults nearly every mask is empty; with these settings training matters and masks differ.
 TELLING = GraphMaskPygSettings(epochs=10, penalty_scaling=1, allowance=0.0)
 
 
 @contextmanager
 def double_precision() -> Iterator[None]:
-    """PyG makes its gates in the default type."""
+    """PyG creates its gates in the default dtype."""
     torch.set_default_dtype(torch.float64)
     try:
         yield
@@ -104,7 +104,7 @@ def gated(policy: GraphPolicy, observations: Tensor, settings: GraphMaskSettings
 
 
 def relative_error(policy: GraphPolicy, observations: Tensor, mask: Tensor) -> Tensor:
-    """(S,): D(z), what the constraint is about."""
+    """(S,): D(z), the constrained change."""
     with torch.no_grad():
         full, masked, silent = (
             policy.distribution(observations, each).action for each in (None, mask, torch.zeros_like(mask))
@@ -128,7 +128,7 @@ def test_graphmask_drops_messages_and_keeps_the_action_within_the_allowance(name
 def by_autograd(
     policy: GraphPolicy, observations: Tensor, noise: Tensor, settings: GraphMaskSettings
 ) -> Tensor:
-    """The formula of graphmask's docstring, differentiated by torch."""
+    """The formula in graphmask's docstring, differentiated by torch."""
     with torch.no_grad():
         full, silent = (
             policy.distribution(observations, mask).action for mask in (None, torch.zeros_like(noise[0]))
@@ -208,7 +208,7 @@ def test_a_larger_allowance_keeps_fewer_messages() -> None:
     assert few < many
 
 
-def test_it_finds_the_senders_that_matter() -> None:
+def test_graphmask_keeps_the_senders_that_matter() -> None:
     """Agents 1 and 2 are silent everywhere: the senders that matter are 0 and 3."""
     policy, observations = small_policy(6, 1, encoder=()), random_observations(20, 4, 6)
     with torch.no_grad():
@@ -219,7 +219,7 @@ def test_it_finds_the_senders_that_matter() -> None:
     assert mask[:, :, [0, 3]].mean() > 0.4
 
 
-def test_timesteps_do_not_see_one_another() -> None:
+def test_a_timestep_s_mask_does_not_depend_on_other_timesteps() -> None:
     policy, observations = small_policy(6, 3), random_observations(6, 3, 6)
     together = run_explainer(graphmask, policy, observations, 1)
     changed = observations.clone()

@@ -1,4 +1,4 @@
-"""Explainers that ask about messages alone, against the game over the other agents written down directly."""
+"""Explainers asked only about messages, against the game over the other agents written out directly."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def without_own(mask: Tensor) -> Tensor:
 
 
 def change(observations: Tensor, mask: Tensor) -> Tensor:
-    """(S, N): d_i of a mask, own edges as they are."""
+    """(S, N): d_i of a mask with own edges unchanged."""
     policy = small_policy(6, 1)
     with torch.no_grad():
         full, other = policy.distribution(observations).action, policy.distribution(observations, mask).action
     return (full - other).abs().mean(dim=-1)
 
 
-def test_own_edges_are_kept_whatever_a_mask_says() -> None:
+def test_own_edges_are_kept_for_every_mask() -> None:
     policy, observations, masks = small_policy(6, 1), random_observations(5, N, 6), random_masks(5, N)
     kept, eye = OwnKept(policy), torch.eye(N)
     with torch.no_grad():
@@ -72,7 +72,7 @@ def test_gradients_of_messages_are_complete_for_an_agent_that_hears_itself() -> 
     points = [(k + 0.5) / 200 for k in range(200)]
     attribution = gradient_at(OwnKept(policy), observations, points)
     assert attribution.diagonal(dim1=1, dim2=2).eq(0).all()
-    alone = change(observations, torch.eye(N).repeat(6, 1, 1))  # what removing all messages changes
+    alone = change(observations, torch.eye(N).repeat(6, 1, 1))  # the change caused by removing all messages
     torch.testing.assert_close(attribution.sum(dim=-1), alone, atol=1e-4, rtol=0)
     assert not torch.allclose(alone, change(observations, torch.zeros(6, N, N)), atol=1e-2)
     for explainer in (gradient_messages, integrated_gradients_messages):
@@ -89,7 +89,7 @@ def test_occlusion_ranks_messages_as_before() -> None:
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_every_explainer_with_two_forms_has_both(name: str) -> None:
+def test_both_forms_of_an_explainer_are_registered(name: str) -> None:
     plain, messages = find_explainer(name), find_explainer(f"{name}-messages")
     assert messages.hyperparameters == {**plain.hyperparameters, "own_edge": "kept"}
     assert (messages.stochastic, messages.slow, messages.batched) == (
@@ -97,7 +97,7 @@ def test_every_explainer_with_two_forms_has_both(name: str) -> None:
     )  # fmt: skip
 
 
-def test_what_learns_is_fitted_to_agents_that_hear_themselves() -> None:
+def test_fitting_uses_agents_that_hear_themselves() -> None:
     seen: list[type] = []
 
     def fit(policy: object, observations: Tensor, generator: torch.Generator) -> object:
@@ -114,7 +114,7 @@ def test_what_learns_is_fitted_to_agents_that_hear_themselves() -> None:
     assert seen == [OwnKept]
 
 
-def test_functions_too_and_what_is_given_a_network_is_refused() -> None:
+def test_functions_work_and_explainers_that_get_the_network_are_refused() -> None:
     def closest(observations: Tensor, policy: object) -> Tensor:
         return torch.exp(-torch.cdist(observations[..., :2], observations[..., :2]))
 

@@ -1,4 +1,4 @@
-"""Validation in a moment, for every test of the trainer."""
+"""Short validation for every test of the trainer."""
 
 from __future__ import annotations
 

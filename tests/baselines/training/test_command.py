@@ -1,4 +1,4 @@
-"""`xmarl-train` as a user types it: what it writes and prints, and what it refuses."""
+"""`xmarl-train` on the command line: what it writes, prints and refuses."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_bad_input_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr("sys.argv", ["xmarl-train", "--out", str(tmp_path / "runs"), *arguments])
-    with pytest.raises(SystemExit) as refused:  # any other exception would be a traceback
+    with pytest.raises(SystemExit) as refused:  # another exception would print a traceback
         main()
     assert refused.value.code == 2
     printed = capsys.readouterr()
@@ -115,7 +115,7 @@ def test_reference_runs_have_the_names_of_their_settings() -> None:
     assert {(run.recipe.family, run.seed) for run in first} == {(FAMILIES[0], SEEDS[0])}
 
 
-def test_the_command_says_what_is_not_the_recipes() -> None:
+def test_the_command_names_what_differs_from_the_recipe() -> None:
     passage = recipe_for("blind_passage_v0")
     assert _command(Run(passage, 3)) == "xmarl-train --reproduce passage-n3-residual-lambda0-seed0"
     assert _command(Run(passage, 5, 0.02, seed=2, caution=2.0)) == (
@@ -169,7 +169,7 @@ def test_a_shipped_policy_is_reproduced_by_the_run_that_its_card_records() -> No
 
 
 def test_a_run_is_read_from_its_card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not from the present recipe, which may have changed since."""
+    """Not from the current recipe, which may have changed."""
     run = Run(small("blind_discovery_v0"))
     train_and_save(run, tmp_path / run.name, resume=False, start_from=None, episodes=1)
     folder = tmp_path / run.name / "policy"
@@ -180,7 +180,7 @@ def test_a_run_is_read_from_its_card(tmp_path: Path, monkeypatch: pytest.MonkeyP
         run_named(f"{run.name}-at20")
 
 
-def test_workers_that_wait_for_a_training_import_no_torch() -> None:
+def test_a_worker_that_waits_for_a_training_does_not_import_torch() -> None:
     code = (
         "import sys, xmarl_baselines.training.own_process;"
         "assert not {'torch', 'torch_geometric', 'stable_baselines3'} & sys.modules.keys()"
@@ -188,7 +188,7 @@ def test_workers_that_wait_for_a_training_import_no_torch() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_reproduce_all_trains_what_is_missing_and_says_what_failed(
+def test_reproduce_all_trains_missing_runs_and_reports_failures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     names = [RUN, "passage-n3-residual-lambda0-seed0"]

@@ -1,4 +1,4 @@
-"""Training starts from the weights that torch and torch_geometric draw under the seed that the card names."""
+"""Training starts from the weights that torch and torch_geometric draw with the seed in the card."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from xmarl_bench.policy import Architecture, PolicyCard, initial_policy, load_po
 
 
 def card_of(run: Run, obs_dim: int) -> PolicyCard:
-    """As `xmarl-train` writes it, as far as initial weights go."""
+    """The fields of a card that matter for initial weights, as `xmarl-train` writes them."""
     record = architecture(run.recipe.task, run.recipe.family)
     return PolicyCard(
         name=run.name,
@@ -38,7 +38,7 @@ def card_of(run: Run, obs_dim: int) -> PolicyCard:
 
 
 def drawn_by_the_libraries(task: str, family: Family, obs_dim: int, seed: int) -> list[Tensor]:
-    """Parameters of torch's and torch_geometric's own layers, made one after the other under the seed."""
+    """Parameters of torch's and torch_geometric's layers, created one after the other after the seed."""
     a = Architecture.model_validate({**architecture(task, family), "obs_dim": obs_dim})
     encoder, decoder = (obs_dim, *a.encoder), (a.gat_width, *a.decoder, 4)
     with torch.random.fork_rng(devices=[]):
@@ -58,9 +58,9 @@ def same_bits(module: nn.Module, expected: list[Tensor]) -> bool:
 
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("task", TASKS)
-def test_training_starts_from_what_the_libraries_draw(task: str, family: Family) -> None:
+def test_training_starts_from_the_weights_that_the_libraries_draw(task: str, family: Family) -> None:
     run = Run(small(task, family=family), seed=4)
-    # A run that is resumed at frame 160 is built with another seed.
+    # A run resumed at frame 160 is built with another seed.
     for seed in (run.seed, run.seed + 160):
         actor = build(run, seed=seed).policy.actor
         expected = drawn_by_the_libraries(task, family, actor.architecture.obs_dim, run.seed)
@@ -69,7 +69,7 @@ def test_training_starts_from_what_the_libraries_draw(task: str, family: Family)
     assert not same_bits(build(Run(small(task, family=family), seed=5), seed=5).policy.actor, expected)
 
 
-def test_a_resumed_run_still_names_the_seed_of_its_first_weights(tmp_path: Path) -> None:
+def test_a_resumed_run_records_the_seed_of_its_first_weights(tmp_path: Path) -> None:
     run, folder = Run(small(), seed=7), tmp_path / "run"
 
     def stop_half_way(frames: int, _: dict[str, float]) -> None:
@@ -98,7 +98,7 @@ def test_a_card_without_the_seed_is_refused(tmp_path: Path) -> None:
         initial_policy(card)
 
 
-def test_the_global_random_state_is_left_alone() -> None:
+def test_the_global_random_state_is_unchanged() -> None:
     card = card_of(Run(small()), 6)
     torch.manual_seed(3)
     expected = torch.rand(2)

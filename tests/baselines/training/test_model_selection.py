@@ -22,7 +22,7 @@ def test_validation_plays_no_episode_of_scoring() -> None:
     assert not set(Sampling(episodes=100, seed=VALIDATED).seeds) & set(Sampling(episodes=200).seeds)
 
 
-def test_every_look_is_kept(tmp_path: Path) -> None:
+def test_every_validation_is_kept(tmp_path: Path) -> None:
     model = build(Run(small()), seed=0)
     selection = ModelSelection(
         tmp_path,
@@ -43,8 +43,8 @@ def test_every_look_is_kept(tmp_path: Path) -> None:
     assert record == curve[-1] or any(not torch.equal(last[k], v) for k, v in policy.state_dict().items())
 
 
-def test_a_run_validates_at_each_tenth_resumed_or_not(tmp_path: Path) -> None:
-    """As ship.py needs it: a resumed run looks at the same moments as a whole one."""
+def test_a_run_validates_at_each_tenth_whether_resumed_or_not(tmp_path: Path) -> None:
+    """ship.py needs this: a resumed run validates at the same frames as an uninterrupted one."""
     run, tenths = Run(small(frames=1600, batch_size=160, n_epochs=1)), [160 * k for k in range(1, 11)]
     assert VALIDATIONS == 10
     whole = train(run, tmp_path / "whole")
@@ -60,8 +60,8 @@ def test_a_run_validates_at_each_tenth_resumed_or_not(tmp_path: Path) -> None:
     assert [record["frames"] for record in resumed.curve] == tenths
 
 
-def test_tenths_that_a_checkpoint_lies_between(tmp_path: Path) -> None:
-    """Iterations of 80 frames, tenths of 160: the run goes on from frame 240."""
+def test_a_run_resumed_between_two_tenths_validates_at_each_tenth(tmp_path: Path) -> None:
+    """Iterations of 80 frames, tenths of 160: the run continues from frame 240."""
     run = Run(small(frames=1600, n_steps=10, batch_size=80, n_epochs=1))
 
     def stop(frames: int, _: dict[str, float]) -> None:
@@ -75,8 +75,8 @@ def test_tenths_that_a_checkpoint_lies_between(tmp_path: Path) -> None:
     assert [record["frames"] for record in resumed.curve] == [160 * k for k in range(1, 11)]
 
 
-def test_validation_is_what_an_evaluation_of_the_same_episodes_says(tmp_path: Path) -> None:
-    """One batch for all episodes rounds differently; nothing else is different."""
+def test_validation_equals_an_evaluation_of_the_same_episodes(tmp_path: Path) -> None:
+    """Only rounding differs: validation plays all episodes in one batch."""
     trained = train(Run(small("blind_passage_v0")), tmp_path / "run")
     (measured,) = evaluate([(trained.policy, Cell("blind_passage_v0", 3))], model_selection.VALIDATION)
     for name in model_selection.MEASURES:

@@ -1,4 +1,4 @@
-"""Networks are those of the paper's table, recipes say what they are, and bad ones are refused."""
+"""Networks equal the paper's table, recipes have the stated values, and invalid ones are refused."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_every_task_has_a_recipe_of_the_first_family() -> None:
     assert {recipe.family for recipe in RECIPES.values()} == {FAMILIES[0]} == {"residual"}
 
 
-def test_runs_are_named_after_what_they_train() -> None:
+def test_names_of_runs_state_their_settings() -> None:
     recipe = recipe_for("blind_navigation_v0")
     assert Run(recipe).name == "navigation-n3-residual-lambda0-seed0"
     paper = recipe_for("blind_passage_v0", family="paper")
@@ -69,7 +69,7 @@ def test_caution_multiplies_the_penalties_of_touching_and_of_being_near() -> Non
     assert Shaping().with_caution(3.0) == Shaping()
 
 
-def test_fine_tuning_is_a_third_with_the_caution_of_the_end() -> None:
+def test_fine_tuning_takes_a_third_of_the_frames_and_the_final_caution() -> None:
     recipe = small(caution_growth=0.5, shaping=Shaping(agent_penalty=0.4), learning_rate=3e-4)
     tuned = recipe.fine_tuning()
     assert (tuned.frames, tuned.caution_growth, tuned.shaping.agent_penalty) == (160, 1.0, 0.2)

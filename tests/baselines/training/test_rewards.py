@@ -1,4 +1,4 @@
-"""What the trainer is rewarded with, and what it reports."""
+"""The reward that the trainer optimises, and the reward that it reports."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_proximity_is_one_at_contact_and_zero_out_of_range() -> None:
     np.testing.assert_allclose(near - far, [[-1.0, -1.0, 0.0]])
 
 
-def test_the_way_through_the_gap() -> None:
+def test_the_distance_through_the_gap() -> None:
     task = BlindPassage(n_agents=1)
     walls = np.array([[[-1.2515, 0.0], [1.2515, 0.0]]])  # the gap is at x = 0
     goal = np.array([[[0.0, 0.5]]])

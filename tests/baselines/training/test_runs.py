@@ -39,7 +39,7 @@ def test_the_same_seed_trains_the_same_weights_and_another_does_not(tmp_path: Pa
     assert not torch.equal(first, weights(1, "c"))
 
 
-def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_an_interrupted_run_continues_from_its_checkpoint(tmp_path: Path) -> None:
     run, folder = Run(small()), tmp_path / "run"
 
     def stop_half_way(frames: int, _: dict[str, float]) -> None:

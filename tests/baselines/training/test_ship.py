@@ -1,4 +1,4 @@
-"""What goes into the package: finished runs, and moments along the training of navigation, N = 3, seed 0."""
+"""`ship` copies finished runs, and checkpoints along the training of navigation, N = 3, seed 0."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from xmarl_bench.policy.bundle import load_card
 def test_checkpoints_of_both_families_and_both_lambdas(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run of ten iterations; validation is after each, at 10, 20, ... 100 percent."""
+    """A run of ten iterations that validates after each, at 10, 20, ... 100 percent."""
     short: dict[str, Any] = {"frames": 400, "n_envs": 2, "n_steps": 20, "batch_size": 40, "n_epochs": 1}
     runs = [
         Run(small(**short, family=family), attention_entropy=weight)

@@ -1,4 +1,4 @@
-"""MAPPO on SB3: the numbers of an update by hand."""
+"""MAPPO on SB3: the values of an update, computed by hand."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.policy.interventions import check_blind, check_receivers
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.rollout.cell import Cell, spaced_timesteps
-from xmarl_bench.rollout.episodes import Episode, play, roll_out, with_actions_of
+from xmarl_bench.rollout.episodes import Episode, Floats, play, roll_out, with_actions_of
 
 SEED: Final = 1
 ROUNDING: Final = 1e-4  # action units: rounding depends on the order of a sum and the size of a batch
@@ -175,8 +175,8 @@ def success(subject: PolicySubject) -> str:
     trained = roll_out(task, subject.policy, seeds)
     rng = subject.rng
 
-    def at_random(observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[Any]:
-        return random_actions(task, len(observation), rng)
+    def at_random(observation: Floats, slots: Sequence[int]) -> tuple[NDArray[Any], Floats]:
+        return random_actions(task, len(observation), rng), observation[..., :0]
 
     chance = play(task, at_random, seeds)
     ours, theirs = _rates(trained), _rates(chance)

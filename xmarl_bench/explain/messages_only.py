@@ -28,6 +28,7 @@ class OwnKept(Policy):
         super().__init__()
         self.policy = policy
         self.graph, self.continuous_actions = policy.graph, policy.continuous_actions
+        self.memory_dim = policy.memory_dim
 
     @property
     def row_wise(self) -> bool:

@@ -33,7 +33,45 @@ class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class Architecture(_Record):
+class Memory(_Record):
+    """A recurrent cell that all agents share, each with a memory of its own, and its place in the network.
+
+    A memory is 0 before the first timestep. torch's `GRUCell` and `LSTMCell`, a single layer.
+    """
+
+    cell: Literal["gru", "lstm"]
+    width: Width  # of what it gives
+    # Message-passing layers before it. 0: it gets what the encoder gives, so a message tells what its sender
+    # remembers. After the last: it gets what an agent heard, and its output goes to the decoder.
+    after: Annotated[int, Field(ge=0, le=8)] = 0
+
+    @property
+    def size(self) -> int:
+        """H, numbers to remember: the output of a GRU; output and cell state of an LSTM, in this order."""
+        return self.width if self.cell == "gru" else 2 * self.width
+
+
+# Not written where there is none: records from before it was a field keep their hash.
+OptionalMemory = Annotated[Memory | None, Field(exclude_if=lambda memory: memory is None)]
+
+
+class _Network(_Record):
+    memory: OptionalMemory = None
+
+    @property
+    def memory_dim(self) -> int:
+        """H, numbers that each agent remembers from one timestep to the next."""
+        return 0 if self.memory is None else self.memory.size
+
+    def _check_place(self, n_layers: int) -> None:
+        if self.memory is not None and self.memory.after > n_layers:
+            raise ValueError(
+                f"the memory is after layer {self.memory.after}, and there are {n_layers}: 0 is before the "
+                f"first"
+            )
+
+
+class Architecture(_Network):
     """MLP encoder, one GATv2 layer with one head, MLP decoder to a TanhNormal's (loc, scale), or to logits.
 
     An empty `encoder` is the identity. `action_dim` of a categorical is the number of its actions. On the
@@ -56,6 +94,11 @@ class Architecture(_Record):
     @property
     def graph(self) -> Graph:
         return CompleteGraph()
+
+    @model_validator(mode="after")
+    def _placed(self) -> Architecture:
+        self._check_place(1)
+        return self
 
 
 class GraphLayer(_Record):
@@ -83,7 +126,7 @@ class GraphLayer(_Record):
         return self
 
 
-class LayeredArchitecture(_Record):
+class LayeredArchitecture(_Network):
     """MLP encoder, one or more attention layers on any `Graph`, MLP decoder, any distribution.
 
     An empty `encoder` is the identity. `action_dim` of a categorical is the number of its actions.
@@ -123,7 +166,13 @@ class LayeredArchitecture(_Record):
             decoder=self.decoder,
             decoder_activation=self.decoder_activation,
             distribution=distribution,
+            memory=self.memory,
         )
+
+    @model_validator(mode="after")
+    def _placed(self) -> LayeredArchitecture:
+        self._check_place(len(self.layers))
+        return self
 
 
 class CodeArchitecture(_Record):

@@ -21,6 +21,7 @@ from torch_geometric.nn import MessagePassing
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.messages import GivenEdges, followed, layers_of
+from xmarl_bench.policy.recurrent import run
 
 
 def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
@@ -44,7 +45,7 @@ def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
         for layer in asked:
             hooks.callback(layer.register_forward_hook(ask, with_kwargs=True).remove)
         with followed(network, edge_index, len(x)) as calls:
-            network(x, edge_index)
+            run(network, x, edge_index)
     for call in calls:
         for alpha in call.alphas:
             if call.layer not in asked and isinstance(alpha, Tensor):

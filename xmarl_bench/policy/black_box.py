@@ -24,6 +24,7 @@ class BlackBox(Policy):
     def __init__(self, policy: Policy, *, attention: bool = False) -> None:
         super().__init__()
         self.graph, self.continuous_actions = policy.graph, policy.continuous_actions
+        self.memory_dim = policy.memory_dim
 
         def prepare(observation: Tensor) -> Answer:
             with torch.no_grad():

@@ -1,6 +1,7 @@
 """What explainers and metrics ask of a policy, whatever network stands behind it.
 
 S is the number of timesteps (or any batch), N agents, D observation entries, A action entries.
+Of a policy with memory, the last H observation entries are what the agent remembers at that timestep.
 `mask[s, i, j]` scales the message on edge j -> i (sender j, receiver i) in every layer that passes messages.
 """
 
@@ -10,6 +11,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -26,6 +28,7 @@ class Policy(nn.Module, ABC):
 
     graph: Graph = CompleteGraph()  # who can hear whom
     continuous_actions: bool = True  # False: it chooses one of numbered actions, see xmarl_envs.actions
+    memory_dim: int = 0  # H, numbers that each agent remembers from one timestep to the next
 
     @property
     @abstractmethod
@@ -77,6 +80,16 @@ class Policy(nn.Module, ABC):
     def distribution(self, observation: Tensor, mask: Tensor | None = None) -> ActionDistribution:
         """(S, N, D) observations -> the action distributions under the mask."""
         return self.decode(self.prepare(observation), mask)
+
+    def initial_state(self, n_agents: int) -> Tensor:
+        """(N, H): what agents remember at the first timestep of an episode."""
+        return torch.zeros(n_agents, self.memory_dim)
+
+    def step(self, observation: Tensor, mask: Tensor | None = None) -> tuple[ActionDistribution, Tensor]:
+        """(S, N, D) -> F(m), and (S, N, H): what agents remember at the next timestep, had they acted so."""
+        if self.memory_dim:
+            raise NotImplementedError(f"{type(self).__name__} answers for single timesteps only")
+        return self.distribution(observation, mask), observation[..., :0]
 
 
 def existing_edges(policy: Policy, observation: Tensor) -> NDArray[np.bool_] | None:

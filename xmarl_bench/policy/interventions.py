@@ -19,6 +19,7 @@ SAME = 1e-4  # largest difference, absolute and relative, that rounding may expl
 TRIED_AT_ONCE = 2**18  # edges of all teams that are tried side by side
 MAX_TRIED = 64  # messages removed from a team, one at a time
 MAX_AGENTS_TRIED = 8  # whose partners observe something else
+STEPS_REMEMBERED = 3  # before a policy with memory is tried
 
 
 def random_teams(n_teams: int, n_agents: int, obs_dim: int) -> Tensor:
@@ -27,11 +28,26 @@ def random_teams(n_teams: int, n_agents: int, obs_dim: int) -> Tensor:
 
 
 def check_interventions(policy: Policy, observations: Tensor) -> None:
-    """Raises InputError where agents meet other than in messages, or a mask lands on other edges."""
+    """(S, N, D) of the task. Raises InputError where agents meet other than in messages, or a mask lands on
+    other edges.
+
+    What agents remember is tried with what they do: a message to i may change no memory but i's.
+    """
     with torch.no_grad():
+        observations = _remembered(policy, observations)
         check_blind(policy, observations)
         for x in observations:
             check_receivers(policy, x)
+
+
+def _remembered(policy: Policy, observations: Tensor) -> Tensor:
+    """(S, N, D) of the task -> with what agents remember after a few steps of seeing it."""
+    n_steps, n_agents, _ = observations.shape
+    states = torch.cat([observations, policy.initial_state(n_agents).expand(n_steps, -1, -1)], dim=-1)
+    for _ in range(STEPS_REMEMBERED if policy.memory_dim else 0):
+        memory = policy.step(states.to(_dtype(policy)))[1]
+        states = torch.cat([observations, memory], dim=-1)
+    return states
 
 
 def check_blind(policy: Policy, observations: Tensor) -> None:
@@ -103,8 +119,10 @@ def check_receivers(policy: Policy, x: Tensor) -> None:
 
 
 def _answer(policy: Policy, observations: Tensor, mask: Tensor) -> Tensor:
-    distribution = policy.distribution(observations.to(_dtype(policy)), mask.to(_dtype(policy)))
-    return torch.cat([distribution.loc, distribution.scale], dim=-1)
+    observations, mask = observations.to(_dtype(policy)), mask.to(_dtype(policy))
+    distribution = policy.distribution(observations, mask)
+    memory = [policy.step(observations, mask)[1]] if policy.memory_dim else []
+    return torch.cat([distribution.loc, distribution.scale, *memory], dim=-1)
 
 
 def _difference(one: Tensor, other: Tensor) -> Tensor:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 from torch_geometric.nn import GATConv, GATv2Conv, MessagePassing, TransformerConv
 
 from xmarl_bench.policy.architecture import GraphLayer, LayeredArchitecture, raw_width
+from xmarl_bench.policy.memory import recurrent_cell, remember
 from xmarl_bench.policy.network import ACTIVATIONS, mlp
 
 
 class LayeredNetwork(nn.Module):
-    """(n, D), (2, edges) -> (n, raw_width): MLP encoder, attention layers, MLP decoder.
+    """(n, D), (2, edges) -> (n, raw_width): MLP encoder, attention layers, a memory among them, MLP decoder.
 
-    Tensors are named `encoder.<k>.*`, `layers.<k>.*` as torch_geometric's, and `decoder.<k>.*`; k counts
-    modules, activations too, so the encoder's linear layers are 0, 2, 4.
+    Tensors are named `encoder.<k>.*`, `layers.<k>.*` as torch_geometric's, `memory.*` as torch's, and
+    `decoder.<k>.*`; k counts modules, activations too, so the encoder's linear layers are 0, 2, 4.
+    Steps as xmarl_bench.policy.recurrent says; without a memory its state has no entries.
     """
 
     def __init__(self, architecture: LayeredArchitecture) -> None:
@@ -24,6 +27,8 @@ class LayeredNetwork(nn.Module):
             a.encoder[-1] if a.encoder else a.obs_dim,
             *(layer.out_width for layer in a.layers),
         ]
+        self.architecture = a
+        self.memory = None if a.memory is None else recurrent_cell(a.memory, widths)
         self.layers = nn.ModuleList(_layer(n_in, each) for n_in, each in zip(widths, a.layers, strict=False))
         self.activations = nn.ModuleList(ACTIVATIONS[each.activation]() for each in a.layers)
         decoded = a.decoder[-1] if a.decoder else widths[-1]
@@ -32,12 +37,22 @@ class LayeredNetwork(nn.Module):
             nn.Linear(decoded, raw_width(a.distribution, a.action_dim)),
         )
 
+    def initial_state(self, n: int) -> Tensor:
+        """(n, H)"""
+        return torch.zeros(n, self.architecture.memory_dim)
+
+    def step(self, x: Tensor, edge_index: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """(n, D), (2, edges), (n, H) -> (n, raw_width), (n, H)."""
+        record = self.architecture.memory
+        hidden, state = remember(record, self.memory, 0, self.encoder(x), state)
+        for k, (layer, activation) in enumerate(zip(self.layers, self.activations, strict=True), start=1):
+            heard = activation(layer(hidden, edge_index))
+            hidden, state = remember(record, self.memory, k, heard, state)
+        return self.decoder(hidden), state
+
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        hidden: Tensor = self.encoder(x)
-        for layer, activation in zip(self.layers, self.activations, strict=True):
-            hidden = activation(layer(hidden, edge_index))
-        out: Tensor = self.decoder(hidden)
-        return out
+        """The first step of an episode."""
+        return self.step(x, edge_index, self.initial_state(len(x)))[0]
 
 
 def _layer(n_in: int, layer: GraphLayer) -> MessagePassing:

@@ -22,6 +22,7 @@ from xmarl_bench.policy.interface import Policy
 from xmarl_bench.policy.interventions import random_teams
 from xmarl_bench.policy.messages import followed, row_major
 from xmarl_bench.policy.opening import Trial
+from xmarl_bench.policy.recurrent import initial_state, run
 
 
 class PreparedGraphs(NamedTuple):
@@ -37,7 +38,8 @@ class ModulePolicy(Policy):
     The output holds the location of each action's Normal, then its scale before the biased softplus of
     `action_distribution`; of a deterministic policy the locations alone, of a categorical one a logit for
     each of `action_dim` actions. Agents may meet in PyG's message-passing layers only, which pass one message
-    for each edge of `graph`, in any order.
+    for each edge of `graph`, in any order. A network that remembers says so as in
+    xmarl_bench.policy.recurrent, and `obs_dim` does not count what it remembers.
 
     n_agents: of the teams that the network is tried on; a FixedGraph has its own. Raises InputError for a
     network that no mask can explain, see xmarl_bench.policy.opening.
@@ -66,6 +68,7 @@ class ModulePolicy(Policy):
             n_agents = self.graph.n_agents
         self.graph.check(n_agents, obs_dim)
         teams = random_teams(2, n_agents, obs_dim).to(next(network.parameters(), torch.empty(0)).dtype)
+        self.memory_dim = initial_state(network, n_agents).shape[1]
         self._n_calls = self._check_network(teams)
 
     @property
@@ -77,7 +80,7 @@ class ModulePolicy(Policy):
         """(n, D), (2, edges) -> (n, A): F(1), whatever the order of the edges."""
         edge_index = row_major(edge_index, len(x))
         with followed(self.network, edge_index, len(x)):
-            return self._head(self.network(x, edge_index)).action
+            return self._head(run(self.network, x, edge_index))[0].action
 
     def prepare(self, observation: Tensor) -> PreparedGraphs:
         """(S, N, D), kept as it is, and who hears whom in it."""
@@ -85,6 +88,17 @@ class ModulePolicy(Policy):
 
     def decode(self, prepared: PreparedGraphs, mask: Tensor | None = None) -> ActionDistribution:
         """F(m); see `Policy.decode`."""
+        return self._answer(prepared, mask)[0]
+
+    def initial_state(self, n_agents: int) -> Tensor:
+        """(N, H), as the network declares it."""
+        return initial_state(self.network, n_agents)
+
+    def step(self, observation: Tensor, mask: Tensor | None = None) -> tuple[ActionDistribution, Tensor]:
+        """(S, N, D) -> F(m), and (S, N, H): what agents remember at the next timestep."""
+        return self._answer(self.prepare(observation), mask)
+
+    def _answer(self, prepared: PreparedGraphs, mask: Tensor | None) -> tuple[ActionDistribution, Tensor]:
         observation, adjacency = prepared
         n_agents = observation.shape[-2]
         leading = observation.shape[:-2] if mask is None else mask.shape[:-2]
@@ -99,7 +113,7 @@ class ModulePolicy(Policy):
             edge_index = edge_index_of(there.reshape(-1, n_agents, n_agents))
             applied = None if applied is None else applied[there]
         with followed(self.network, edge_index, len(x), applied):
-            raw: Tensor = self.network(x, edge_index)
+            raw = run(self.network, x, edge_index)
         return self._head(raw.view(*shape, n_agents, -1))
 
     def attention(self, observation: Tensor) -> Tensor:
@@ -122,7 +136,7 @@ class ModulePolicy(Policy):
         """
         edge_index = self.edges(x)
         with torch.no_grad(), followed(self.network, edge_index, len(x)) as calls:
-            self.network(x, edge_index)
+            run(self.network, x, edge_index)
         places = calls[0].places
         if not all(torch.equal(call.places, places) for call in calls):
             raise InputError(
@@ -131,8 +145,10 @@ class ModulePolicy(Policy):
             )
         return edge_index[:, places]
 
-    def _head(self, raw: Tensor) -> ActionDistribution:
-        return action_distribution(raw, self.distribution_kind, self.scale_kind)
+    def _head(self, raw: Tensor) -> tuple[ActionDistribution, Tensor]:
+        """What `run` returns -> the actions, and what is remembered next."""
+        output, memory = raw.split([raw.shape[-1] - self.memory_dim, self.memory_dim], dim=-1)
+        return action_distribution(output, self.distribution_kind, self.scale_kind), memory
 
     def _check_network(self, teams: Tensor) -> int:
         """(2, N, D) -> how often the network passes messages."""

@@ -17,6 +17,7 @@ from torch_geometric.nn import GATv2Conv
 from xmarl_bench.policy.architecture import Architecture, raw_width
 from xmarl_bench.policy.distribution import ActionDistribution, action_distribution
 from xmarl_bench.policy.interface import Policy
+from xmarl_bench.policy.memory import recurrent_cell, remember
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {
     "tanh": nn.Tanh,
@@ -34,6 +35,8 @@ class Prepared(NamedTuple):
     attention: Tensor  # (S, N, N), rows sum to 1: attention[s, i, j] of receiver i to sender j
     message: Tensor  # (S, N, W): W x_j of sender j
     own: Tensor  # (S, N, W): what the layer adds to the messages of receiver i: its bias, and R x_i
+    # (S, N, H): of a cell before the layer what is remembered next, of one after it what was remembered
+    memory: Tensor
 
 
 class GraphPolicy(Policy):
@@ -41,7 +44,8 @@ class GraphPolicy(Policy):
 
     The layer is torch_geometric's GATv2Conv, so that PyG's explainers run on `forward`; the batched path
     `prepare` / `decode` computes the same numbers from the same parameters on the complete graph with
-    self loops, for many timesteps and masks at once.
+    self loops, for many timesteps and masks at once. A memory before the layer does not depend on the
+    mask; one after it is part of decoding.
     """
 
     row_wise = True  # one layer: F_i depends on row i of the mask alone
@@ -51,30 +55,32 @@ class GraphPolicy(Policy):
         self.architecture = a = architecture
         self.continuous_actions = a.distribution != "categorical"
         self.encoder = mlp((a.obs_dim, *a.encoder), a.encoder_activation)
-        encoded = a.encoder[-1] if a.encoder else a.obs_dim
+        self.memory_dim = a.memory_dim
+        widths = [a.encoder[-1] if a.encoder else a.obs_dim, a.gat_width]
+        self.memory = None if a.memory is None else recurrent_cell(a.memory, widths)
         # Loops are explicit edges of the graph: with add_self_loops=True PyG would re-order them,
         # and read an explainer's mask in another order than the caller's, silently.
-        self.gat = GATv2Conv(encoded, a.gat_width, heads=1, add_self_loops=False, residual=a.residual)
+        self.gat = GATv2Conv(widths[0], a.gat_width, heads=1, add_self_loops=False, residual=a.residual)
         self.gat_activation = ACTIVATIONS[a.gat_activation]()
         self.decoder = nn.Sequential(
-            *mlp((a.gat_width, *a.decoder), a.decoder_activation),
-            nn.Linear(a.decoder[-1] if a.decoder else a.gat_width, raw_width(a.distribution, a.action_dim)),
+            *mlp((widths[1], *a.decoder), a.decoder_activation),
+            nn.Linear(a.decoder[-1] if a.decoder else widths[1], raw_width(a.distribution, a.action_dim)),
         )
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
         """(n, D), (2, edges) -> (n, A): F(1), by PyG's message passing on any graph."""
-        hidden = self.gat(self.encoder(x), edge_index)
-        return self.head(hidden).action
+        encoded, memory = self.encode(x)
+        return self.head(self.gat(encoded, edge_index), memory)[0].action
 
     def prepare(self, observation: Tensor) -> Prepared:
         """(S, N, D) -> attention and messages on the complete graph with self loops."""
-        x = self.encoder(observation)
+        x, memory = self.encode(observation)
         message = self.gat.lin_l(x)
         receiver = self.gat.lin_r(x)
         pair = F.leaky_relu(receiver[:, :, None] + message[:, None, :], self.gat.negative_slope)
         attention = torch.softmax(pair @ self.gat.att.view(-1), dim=-1)
         own = self.gat.bias.expand_as(message) if self.gat.res is None else self.gat.res(x) + self.gat.bias
-        return Prepared(attention, message, own)
+        return Prepared(attention, message, own, memory)
 
     def decode(
         self, prepared: Prepared, mask: Tensor | None = None, stand_in: Tensor | None = None
@@ -86,19 +92,37 @@ class GraphPolicy(Policy):
         mask: (..., S, N, N) in [0, 1], any leading axes; None is the mask of ones.
         stand_in: (S, N, W) or (N, W), added as sum_j (1 - m_ij) alpha_ij stand_in_j; None is nothing.
         """
-        weight = prepared.attention if mask is None else prepared.attention * mask
-        hidden = weight @ prepared.message + prepared.own
-        if stand_in is not None:
-            hidden = hidden + (prepared.attention - weight) @ stand_in
-        return self.head(hidden)
+        return self.head(self._heard(prepared, mask, stand_in), prepared.memory)[0]
+
+    def step(self, observation: Tensor, mask: Tensor | None = None) -> tuple[ActionDistribution, Tensor]:
+        """(S, N, D) -> F(m), and (S, N, H): what agents remember at the next timestep."""
+        prepared = self.prepare(observation)
+        return self.head(self._heard(prepared, mask), prepared.memory)
 
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N): the coefficients of the one head of the one layer."""
         return self.prepare(observation).attention
 
-    def head(self, hidden: Tensor) -> ActionDistribution:
-        """(..., W) output of the layer -> the action distribution."""
-        return action_distribution(self.decoder(self.gat_activation(hidden)), self.architecture.distribution)
+    def encode(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """(..., D + H) -> (..., E) what the layer gets, and the memory as in `Prepared`."""
+        if self.memory_dim == 0:
+            return self.encoder(observation), observation[..., :0]
+        seen, memory = observation.split([self.architecture.obs_dim, self.memory_dim], dim=-1)
+        return remember(self.architecture.memory, self.memory, 0, self.encoder(seen), memory)
+
+    def _heard(self, prepared: Prepared, mask: Tensor | None, stand_in: Tensor | None = None) -> Tensor:
+        """(..., S, N, W) output of the layer, see `decode`."""
+        weight = prepared.attention if mask is None else prepared.attention * mask
+        hidden = weight @ prepared.message + prepared.own
+        if stand_in is not None:
+            hidden = hidden + (prepared.attention - weight) @ stand_in
+        return hidden
+
+    def head(self, hidden: Tensor, memory: Tensor) -> tuple[ActionDistribution, Tensor]:
+        """(..., W) output of the layer, memory as in `Prepared` -> the actions, what is remembered next."""
+        active = self.gat_activation(hidden)
+        decoded, memory = remember(self.architecture.memory, self.memory, 1, active, memory)
+        return action_distribution(self.decoder(decoded), self.architecture.distribution), memory
 
 
 def mlp(widths: tuple[int, ...], activation: str) -> nn.Sequential:

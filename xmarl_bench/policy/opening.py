@@ -12,18 +12,27 @@ from torch import Tensor, nn
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.interventions import SAME
 from xmarl_bench.policy.messages import Call, followed
+from xmarl_bench.policy.recurrent import initial_state, is_recurrent, run
 
 REPEATED = 1e-6  # threads may sum in another order
 
 
 class Trial:
-    """A network on two teams' observations (2, N, D), on the edges of each team and of both together."""
+    """A network on two teams' observations (2, N, D), on the edges of each team and of both together.
+
+    One that remembers is tried on what it remembers after a first step.
+    """
 
     def __init__(
         self, network: nn.Module, teams: Tensor, edges: tuple[Tensor, Tensor], together: Tensor
     ) -> None:
         self.network, self.name = network, type(network).__name__
-        self.teams, self.edges, self.together = teams, edges, together
+        start, again = (initial_state(network, teams.shape[1]) for _ in range(2))
+        if not torch.equal(start, again):
+            raise InputError(f"{self.name} draws random numbers in initial_state: begin all episodes alike.")
+        self.obs_dim, self.memory_dim = teams.shape[-1], start.shape[-1]
+        self.teams = torch.cat([teams, start.expand(2, -1, -1)], dim=-1)
+        self.edges, self.together = edges, together
         self.calls: list[Call] = []  # of the last run
 
     def check(self, width: int, holds: str) -> int:
@@ -39,11 +48,17 @@ class Trial:
                 f"one: let agents meet in MessagePassing layers, not in dense attention or sums over rows."
             )
         expected = (self.teams.shape[1], width)
-        if not isinstance(first, Tensor) or tuple(first.shape) != expected:
-            got = f"shape {tuple(first.shape)}" if isinstance(first, Tensor) else f"a {type(first).__name__}"
+        output = first[..., : first.shape[-1] - self.memory_dim] if isinstance(first, Tensor) else first
+        if not isinstance(output, Tensor) or tuple(output.shape) != expected:
+            is_tensor = isinstance(output, Tensor)
+            got = f"shape {tuple(output.shape)}" if is_tensor else f"a {type(output).__name__}"
             raise InputError(
                 f"{self.name} returned {got} for {expected[0]} agents: return {expected}, {holds}."
             )
+        if self.memory_dim:
+            remembered = torch.stack([self._alone(0), self._alone(1)])[..., width:]
+            self.teams = torch.cat([self.teams[..., : self.obs_dim], remembered], dim=-1)
+            first = self._alone(0)
         if not bool(torch.isfinite(first).all()):
             raise InputError(
                 f"{self.name} returned NaN or infinity for random observations: look for a division by zero "
@@ -71,7 +86,7 @@ class Trial:
             )
         raise InputError(
             f"{self.name} keeps a state from call to call, or draws numbers of its own: give the same "
-            f"actions for the same observations."
+            f"actions for the same observations, and declare what it remembers by initial_state and step."
         )
 
     def _seeded(self) -> Tensor:
@@ -85,16 +100,16 @@ class Trial:
     def _run(self, x: Tensor, edge_index: Tensor) -> Tensor:
         try:
             with torch.no_grad(), followed(self.network, edge_index, len(x)) as self.calls:
-                output: Tensor = self.network(x.clone(), edge_index.clone())
+                return run(self.network, x.clone(), edge_index.clone())
         except InputError:
             raise
         except Exception as error:
+            method, state = ("step", ", state") if is_recurrent(self.network) else ("forward", "")
             raise InputError(
-                f"{self.name} stopped on {len(x)} agents ({type(error).__name__}: {error}): its forward "
-                f"takes (x (n, {x.shape[1]}), edge_index (2, edges)), of one team of {self.teams.shape[1]} "
-                f"or of many."
+                f"{self.name} stopped on {len(x)} agents ({type(error).__name__}: {error}): its {method} "
+                f"takes (x (n, {self.obs_dim}), edge_index (2, edges){state}), of one team of "
+                f"{self.teams.shape[1]} or of many."
             ) from error
-        return output
 
 
 def _repeats(again: Tensor, first: Tensor) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.architecture import Architecture, GraphLayer, LayeredArchitecture, raw_width
+from xmarl_bench.policy.architecture import Architecture, GraphLayer, LayeredArchitecture, Memory, raw_width
 
 MAX_PARAMETERS = 16 * 1024 * 1024  # 64 MB of float32
 Shapes = dict[str, tuple[int, ...]]
@@ -26,14 +26,16 @@ def weight_shapes(architecture: Architecture | LayeredArchitecture) -> Shapes:
         layer = GraphLayer(
             conv="GATv2Conv", width=a.gat_width, activation=a.gat_activation, residual=a.residual
         )
-        shapes |= _layer("gat", encoder[-1], layer)
-        width = a.gat_width
+        layers = {"gat": layer}
     else:
-        widths = [encoder[-1], *(layer.out_width for layer in a.layers)]
-        for k, layer in enumerate(a.layers):
-            shapes |= _layer(f"layers.{k}", widths[k], layer)
-        width = widths[-1]
-    shapes |= _mlp("decoder", (width, *a.decoder, raw_width(a.distribution, a.action_dim)))
+        layers = {f"layers.{k}": layer for k, layer in enumerate(a.layers)}
+    widths = [encoder[-1], *(layer.out_width for layer in layers.values())]
+    if a.memory is not None:
+        shapes |= _memory(widths[a.memory.after], a.memory)
+        widths[a.memory.after] = a.memory.width
+    for n_in, (name, layer) in zip(widths, layers.items(), strict=False):
+        shapes |= _layer(name, n_in, layer)
+    shapes |= _mlp("decoder", (widths[-1], *a.decoder, raw_width(a.distribution, a.action_dim)))
     total = sum(math.prod(shape) for shape in shapes.values())
     if total > MAX_PARAMETERS:
         raise InputError(
@@ -53,6 +55,12 @@ def _mlp(name: str, widths: Sequence[int]) -> Shapes:
 
 def _linear(name: str, n_in: int, n_out: int, *, bias: bool = True) -> Shapes:
     return {f"{name}.weight": (n_out, n_in), **({f"{name}.bias": (n_out,)} if bias else {})}
+
+
+def _memory(n_in: int, memory: Memory) -> Shapes:
+    gates = (3 if memory.cell == "gru" else 4) * memory.width
+    weights = {"memory.weight_ih": (gates, n_in), "memory.weight_hh": (gates, memory.width)}
+    return {**weights, "memory.bias_ih": (gates,), "memory.bias_hh": (gates,)}
 
 
 def _layer(name: str, n_in: int, layer: GraphLayer) -> Shapes:

@@ -18,9 +18,9 @@ from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
-from xmarl_bench.rollout.episodes import act, with_actions_of
+from xmarl_bench.rollout.episodes import act, initial_state, with_actions_of
 
-Actions = NDArray[np.float32]
+Floats = NDArray[np.float32]
 
 TEAMS = HEURISTIC, RANDOM = ("heuristic", "random")  # those that need no policy
 
@@ -35,7 +35,7 @@ class Recording:
     run_seed: int  # the seed of the run that plays this episode
     seed: int  # of the episode
     track: Track
-    observations: Actions  # (T, N, D), before each action
+    observations: Floats  # (T, N, D + H), before each action: what agents saw and remembered
     success_rate: float  # fraction of agents at their goals when it ended; discovery: 1 if found
 
     def explain(self, explainer: Explainer, cycles: Sequence[int]) -> NDArray[np.float32]:
@@ -82,11 +82,13 @@ def record(
     choose = _choose(task, team, policy, environment_seed)
     env = VectorEnv(task, 1, max_cycles)
     observation = env.reset([environment_seed])[0]
+    memory = observation[:, :0] if policy is None else initial_state(policy, task.n_agents)
     track, observations = Track(env.state), []
     with one_thread():
         while True:
-            observations.append(observation)
-            step = env.step(choose(env.state, observation)[None])
+            observations.append(np.concatenate([observation, memory], axis=-1))
+            action, memory = choose(env.state, observations[-1])
+            step = env.step(action[None])
             track.add(env.state, step)
             observation = step.observation[0]
             if step.terminated[0] or step.truncated[0]:
@@ -103,13 +105,18 @@ def record(
     )
 
 
-def _choose(task: Task, team: str, policy: Policy | None, seed: int) -> Callable[[State, Actions], Actions]:
-    """(state, observations (N, D)) -> actions (N, 2)."""
+def _choose(
+    task: Task, team: str, policy: Policy | None, seed: int
+) -> Callable[[State, Floats], tuple[Floats, Floats]]:
+    """(state, observations (N, D + H)) -> actions (N, 2), what is remembered next (N, H)."""
     if policy is not None:
         return lambda _, observation: act(policy, observation)
     if team == HEURISTIC:
-        return lambda state, _: heuristic(task, state)[0].astype(np.float32)
+        return lambda state, seen: (heuristic(task, state)[0].astype(np.float32), seen[..., :0])
     if team == RANDOM:
         rng = np.random.default_rng([seed, 1])
-        return lambda *_: rng.uniform(-1, 1, (task.n_agents, 2)).astype(np.float32)
+        return lambda _, seen: (
+            rng.uniform(-1, 1, (task.n_agents, 2)).astype(np.float32),
+            seen[..., :0],
+        )
     raise InputError(f"team {team!r} has no policy: give one, or choose {HEURISTIC!r} or {RANDOM!r}.")

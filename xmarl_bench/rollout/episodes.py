@@ -18,6 +18,8 @@ from xmarl_bench.metrics.table import Group, Need, metrics_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread
 
+Floats = NDArray[np.float32]
+
 
 @dataclass(frozen=True)
 class Episode:
@@ -27,7 +29,8 @@ class Episode:
     """
 
     seed: int
-    observations: NDArray[np.float32]  # (T, N, D), before each action
+    # (T, N, D + H), before each action: what agents saw and, of a policy with memory, what they remembered
+    observations: NDArray[np.float32]
     reward: float  # mean over agents of the return
     success_rate: float  # fraction of agents at goal when the episode ends; discovery: 1 if found
     no_agent_collision: float  # 1 if no two agents collided in the episode
@@ -49,10 +52,11 @@ def mean_metrics(task: str, episodes: Sequence[Episode]) -> dict[str, float | No
 class Act(Protocol):
     """Chooses the actions of a batch of teams."""
 
-    def __call__(self, observation: NDArray[np.float32], slots: Sequence[int], /) -> NDArray[Any]:
-        """(B, N, D) observations of all slots, the slots still playing -> (B, N, 2) actions.
+    def __call__(self, observation: Floats, slots: Sequence[int], /) -> tuple[NDArray[Any], Floats]:
+        """(B, N, D + H) of all slots, the slots still playing -> (B, N, 2) actions, (B, N, H) what is
+        remembered next.
 
-        Actions of other slots are ignored.
+        Those of other slots are ignored. H is 0 where nothing is remembered.
         """
 
 
@@ -76,16 +80,20 @@ def roll_out(
     bit for bit, for any `parallel_episodes`.
     """
 
-    def act_alone(observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[Any]:
+    start = initial_state(policy, task.n_agents)
+
+    def act_alone(observation: Floats, slots: Sequence[int]) -> tuple[NDArray[Any], Floats]:
         chosen = [act(policy, observation[slot], mask) for slot in slots]
-        action = np.zeros((len(observation), *chosen[0].shape), chosen[0].dtype)
-        action[slots] = chosen
-        return action
+        action, memory = (np.zeros((len(observation), *part.shape), part.dtype) for part in chosen[0])
+        for slot, each in zip(slots, chosen, strict=True):
+            action[slot], memory[slot] = each
+        return action, memory
 
     return play(
         with_actions_of(policy, task),
         act_alone,
         seeds,
+        start=start,
         parallel_episodes=parallel_episodes,
         max_cycles=max_cycles,
     )
@@ -96,11 +104,13 @@ def play(
     act: Act,
     seeds: Sequence[int],
     *,
+    start: Floats | None = None,
     parallel_episodes: int = 50,
     max_cycles: int | None = None,
 ) -> list[Episode]:
     """Play one episode per seed with the actions of `act`, in the order of `seeds`.
 
+    start: (N, H), what agents remember before their first step; None is nothing.
     With as many parallel episodes as seeds, slot k plays seed k from its first step to its last.
     """
     width = min(parallel_episodes, len(seeds))
@@ -109,15 +119,18 @@ def play(
     env = VectorEnv(task, width, max_cycles)
     playing = list(range(width))  # slot -> index of the seed it plays; -1: no seed is left
     observation = env.reset([seeds[k] for k in playing])
+    start = np.zeros((task.n_agents, 0), dtype=np.float32) if start is None else start
+    memory = np.repeat(start[None], width, axis=0)
     recorders = [_Recorder(seeds[k]) for k in playing]
     finished: dict[int, Episode] = {}
     waiting = iter(range(width, len(seeds)))
     while len(finished) < len(seeds):
         live = np.array([k >= 0 for k in playing])
         slots = [slot for slot in range(width) if playing[slot] >= 0]
-        action = act(observation, slots)
+        seen = np.concatenate([observation, memory], axis=-1)
+        action, memory = act(seen, slots)
         for slot in slots:
-            recorders[slot].observations.append(observation[slot])
+            recorders[slot].observations.append(seen[slot])
         step = env.step(action, live)
         observation = step.observation
         for slot in slots:
@@ -129,16 +142,26 @@ def play(
                     seed = seeds[playing[slot]]
                     recorders[slot] = _Recorder(seed)
                     observation = env.reset([seed], [slot])
+                    memory[slot] = start
     return [finished[k] for k in range(len(seeds))]
 
 
 @torch.inference_mode()
-def act(policy: Policy, observation: NDArray[np.float32], mask: Tensor | None = None) -> NDArray[Any]:
-    """(N, D) -> (N, A), or (N,) numbers: the deterministic action of one team at one timestep."""
+def act(policy: Policy, observation: Floats, mask: Tensor | None = None) -> tuple[NDArray[Any], Floats]:
+    """(N, D + H) -> the deterministic action of one team at one timestep, what it remembers next (N, H).
+
+    An action is (N, A), or (N,) numbers.
+    """
     # A copy, not a view: rounding of matrix products also depends on the alignment of memory, and torch
     # aligns what it allocates itself.
     x = torch.tensor(observation)[None]
-    return np.asarray(policy.distribution(x, mask).choice[0].numpy())
+    distribution, memory = policy.step(x, mask)
+    return np.asarray(distribution.choice[0].numpy()), np.asarray(memory[0].numpy())
+
+
+def initial_state(policy: Policy, n_agents: int) -> Floats:
+    """(N, H): what agents remember before their first step."""
+    return np.asarray(policy.initial_state(n_agents).float().numpy())
 
 
 def with_actions_of(policy: Policy, task: Task) -> Task:

@@ -30,7 +30,7 @@ from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.metrics import mask_of_senders, other_senders, top_k_rows
 from xmarl_bench.policy import Policy, existing_edges
 from xmarl_bench.reproducible import derived_seed, one_thread
-from xmarl_bench.rollout.episodes import Episode, play, with_actions_of
+from xmarl_bench.rollout.episodes import Episode, Floats, initial_state, play, with_actions_of
 from xmarl_bench.scoring.states import number
 
 BLOCK = 50  # episodes: those of the protocol, in one go
@@ -76,6 +76,7 @@ class BehaviourBlock:
                     with_actions_of(self.policy, make_task(self.task, self.n_agents)),
                     _BlockAct(self),
                     self.seeds + self.seeds,
+                    start=initial_state(self.policy, self.n_agents),
                     parallel_episodes=2 * n,
                     max_cycles=self.max_cycles,
                 )
@@ -93,8 +94,8 @@ class _BlockAct:
         self.policy = copy.deepcopy(block.policy).eval()  # memory as torch lays it out, also after a pickle
         self.n_steps = 0
 
-    def __call__(self, observation: NDArray[np.float32], slots: Sequence[int]) -> NDArray[Any]:
-        """(2 n, N, D) -> (2 n, N, A)."""
+    def __call__(self, observation: Floats, slots: Sequence[int]) -> tuple[NDArray[Any], Floats]:
+        """(2 n, N, D + H) -> (2 n, N, A), (2 n, N, H)."""
         block, n = self.block, len(self.block.seeds)
         parts = block.seed, block.seeds[0], self.n_steps
         self.n_steps += 1
@@ -113,8 +114,9 @@ class _BlockAct:
         own = torch.eye(block.n_agents)
         top[BLOCK:] = 1.0 - top[BLOCK:]
         with torch.inference_mode():
-            action = self.policy.distribution(x, torch.maximum(top, own)).choice.numpy()
-        return np.concatenate([action[:n], action[BLOCK : BLOCK + n]])
+            distribution, memory = self.policy.step(x, torch.maximum(top, own))
+        played = [*range(n), *range(BLOCK, BLOCK + n)]
+        return distribution.choice.numpy()[played], memory.numpy()[played]
 
 
 def _row(kept: Episode, dropped: Episode) -> BehaviourRow:

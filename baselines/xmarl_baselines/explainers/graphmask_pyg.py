@@ -112,17 +112,18 @@ def draw(policy: GraphPolicy, n_agents: int, epochs: int, seed: int) -> Start:
     """The same draws as PyG after `torch.manual_seed(seed)`, in the same order and shapes."""
     generator = torch.Generator().manual_seed(seed)
     n_in, width = policy.gat.in_channels, policy.gat.out_channels
-    feature_mask, gates = _draw_masks(policy.architecture.obs_dim, n_in, width, generator)
+    n_features = policy.architecture.obs_dim + policy.memory_dim
+    feature_mask, gates = _draw_masks(n_features, n_in, width, generator)
     if n_in != width:  # PyG's gates do not fit their inputs, so it creates new ones
-        feature_mask, gates = _draw_masks(policy.architecture.obs_dim, width, width, generator)
+        feature_mask, gates = _draw_masks(n_features, width, width, generator)
     noise = [
         torch.empty(n_agents**2, 1).uniform_(1e-6, 1.0 - 1e-6, generator=generator) for _ in range(epochs)
     ]
     return Start(feature_mask, gates, torch.stack(noise).view(epochs, n_agents, n_agents))
 
 
-def _draw_masks(obs_dim: int, n_in: int, width: int, generator: torch.Generator) -> tuple[Tensor, Gates]:
-    feature_mask = torch.randn(1, obs_dim, generator=generator) * 0.1
+def _draw_masks(n_features: int, n_in: int, width: int, generator: torch.Generator) -> tuple[Tensor, Gates]:
+    feature_mask = torch.randn(1, n_features, generator=generator) * 0.1
     input_dims = (n_in, width, n_in)
     transforms = [torch.empty(width, dim) for dim in input_dims]
     for transform in transforms:  # torch.nn.Linear's initialisation, then overwritten
@@ -149,7 +150,7 @@ def gate_masks(
         feature_mask = torch.stack([start.feature_mask for start in starts]).sigmoid()
         seen = observations * feature_mask
         original, scaled = layer_state(policy, observations), layer_state(policy, seen)
-        own = policy.prepare(seen).own
+        prepared = policy.prepare(seen)
     gates = _stack([start.gates for start in starts])
     noise = torch.stack([start.noise for start in starts], dim=1)
     trained = policy.gat.in_channels == policy.gat.out_channels
@@ -169,7 +170,7 @@ def gate_masks(
             gated = scaled.message * z[..., None] + (1 - z)[..., None] * baseline
             if not trained:
                 continue
-            action = policy.head(gated.sum(dim=2) + own).action
+            action = policy.head(gated.sum(dim=2) + prepared.own, prepared.memory)[0].action
             error = (action - target).square().mean(dim=(-2, -1))
             penalty = torch.sigmoid(opened - BETA * math.log(-GAMMA / ZETA)).mean(dim=(-2, -1))
             loss = multiplier * torch.relu(error - settings.allowance) + settings.penalty_scaling * penalty
@@ -184,7 +185,7 @@ def gate_masks(
 
 def layer_state(policy: GraphPolicy, observations: Tensor) -> LayerState:
     """(S, N, D) -> the inputs of the gates, with relu(layer_norm(message)) as messages."""
-    x = policy.encoder(observations)
+    x, _ = policy.encode(observations)
     sender, receiver = policy.gat.lin_l(x), policy.gat.lin_r(x)
     message = policy.prepare(observations).attention[..., None] * sender[:, None]
     return LayerState(sender, F.layer_norm(message, (message.shape[-1],)).relu(), receiver)

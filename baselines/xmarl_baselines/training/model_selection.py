@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from safetensors.torch import load_file, save
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -23,7 +22,7 @@ from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.policy.default_policies import selection_key
 from xmarl_bench.records.files import write_atomically, write_json
 from xmarl_bench.rollout.cell import Cell, Sampling
-from xmarl_bench.rollout.episodes import play
+from xmarl_bench.rollout.episodes import Floats, play
 
 VALIDATION = Sampling(episodes=100, seed=1_000)  # scoring plays seed 0 by default
 MEASURES = ("success_rate", "no_agent_collision", "no_object_collision", "makespan")
@@ -80,10 +79,10 @@ class ModelSelection(BaseCallback):
         policy = plain_actor(self.model)
 
         @torch.inference_mode()
-        def act(observation: NDArray[np.float32], _: Sequence[int]) -> NDArray[np.float32]:
+        def act(observation: Floats, _: Sequence[int]) -> tuple[Floats, Floats]:
             # One batch, unlike scoring: the last bits do not matter here.
-            action: NDArray[np.float32] = policy.distribution(torch.from_numpy(observation)).choice.numpy()
-            return action
+            distribution, memory = policy.step(torch.from_numpy(observation))
+            return distribution.choice.numpy(), memory.numpy()
 
         episodes = play(
             self._cell.make(),

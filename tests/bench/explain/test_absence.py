@@ -33,7 +33,7 @@ def dense_table(policy: GraphPolicy, n_agents: int, absence: Absence, seed: int 
         random_observations(n, n_agents, 5, seed=k).double() for k, n in ((1, 6), (2, 11))
     )
     with torch.no_grad():
-        alpha, message, own = policy.prepare(observations)
+        alpha, message, own, _ = policy.prepare(observations)
         other = policy.prepare(reference).message
         drawn = np.random.default_rng(seed).integers(len(other), size=(DRAWS, 6))
         stand_ins = {
@@ -53,7 +53,7 @@ def dense_table(policy: GraphPolicy, n_agents: int, absence: Absence, seed: int 
                 for j in range(n_agents):
                     said = message[s, j] / share if j in kept else stand_in[s, j]
                     hidden += alpha[s, i, j] * said
-                action = policy.head(hidden).action
+                action = policy.head(hidden, hidden[:0])[0].action
                 change[r, s, i] += float((full[s, i] - action).abs().mean()) / len(stand_ins)
     return change
 

@@ -184,7 +184,7 @@ def test_no_mask_touches_the_residual() -> None:
     own = encoded @ policy.gat.res.weight.mT + policy.gat.bias
     with torch.no_grad():
         nothing = policy.distribution(observations, torch.zeros(5, 4, 4))
-        torch.testing.assert_close(nothing.loc, policy.head(own).loc, rtol=0, atol=ROUNDING)
+        torch.testing.assert_close(nothing.loc, policy.head(own, own[..., :0])[0].loc, rtol=0, atol=ROUNDING)
         # Without a residual every agent gets b alone, and all act alike.
         plain = small_policy(6, 7).distribution(observations, torch.zeros(5, 4, 4)).loc
     assert (nothing.loc[:, 0] - nothing.loc[:, 1]).abs().max() > 1e-2

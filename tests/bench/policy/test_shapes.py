@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xmarl_bench.policy import Architecture, GraphLayer, GraphPolicy, LayeredArchitecture
+from xmarl_bench.policy.architecture import Memory
 from xmarl_bench.policy.layers import LayeredNetwork
 from xmarl_bench.policy.shapes import Shapes, weight_shapes
 
@@ -25,6 +26,12 @@ layers = st.builds(
     activation=st.just("tanh"),
 )
 
+cells, cell_widths = st.sampled_from(["gru", "lstm"]), st.integers(1, 5)
+
+
+def memories(n_layers: int) -> st.SearchStrategy[Memory | None]:
+    return st.none() | st.builds(Memory, cell=cells, width=cell_widths, after=st.integers(0, n_layers))
+
 
 def built(network: type[GraphPolicy] | type[LayeredNetwork], architecture: object) -> Shapes:
     with torch.device("meta"):
@@ -32,7 +39,7 @@ def built(network: type[GraphPolicy] | type[LayeredNetwork], architecture: objec
     return {name: tuple(tensor.shape) for name, tensor in state.items()}
 
 
-@given(st.integers(1, 7), st.integers(1, 3), widths, st.integers(1, 9), widths, st.booleans())
+@given(st.integers(1, 7), st.integers(1, 3), widths, st.integers(1, 9), widths, st.booleans(), memories(1))
 def test_one_layer(
     obs_dim: int,
     action_dim: int,
@@ -40,11 +47,12 @@ def test_one_layer(
     gat_width: int,
     decoder: tuple[int, ...],
     residual: bool,
+    memory: Memory | None,
 ) -> None:
     architecture = Architecture(
         obs_dim=obs_dim, action_dim=action_dim, encoder=encoder, encoder_activation="relu",
         gat_width=gat_width, gat_activation="tanh", decoder=decoder, decoder_activation="elu",
-        residual=residual,
+        residual=residual, memory=memory,
     )  # fmt: skip
     assert weight_shapes(architecture) == built(GraphPolicy, architecture)
 
@@ -54,12 +62,24 @@ def test_one_layer(
     st.lists(layers, min_size=1, max_size=3).map(tuple),
     widths,
     st.sampled_from(["tanh_normal", "normal", "deterministic"]),
+    st.data(),
 )
 def test_layers(
-    encoder: tuple[int, ...], layers: tuple[GraphLayer, ...], decoder: tuple[int, ...], distribution: str
+    encoder: tuple[int, ...],
+    layers: tuple[GraphLayer, ...],
+    decoder: tuple[int, ...],
+    distribution: str,
+    data: st.DataObject,
 ) -> None:
     architecture = LayeredArchitecture.model_validate(
-        {"obs_dim": 4, "encoder": encoder, "layers": layers, "decoder": decoder, "distribution": distribution}
+        {
+            "obs_dim": 4,
+            "encoder": encoder,
+            "layers": layers,
+            "memory": data.draw(memories(len(layers))),
+            "decoder": decoder,
+            "distribution": distribution,
+        }
     )
     assert weight_shapes(architecture) == built(LayeredNetwork, architecture)
 

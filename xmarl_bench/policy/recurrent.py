@@ -1,0 +1,87 @@
+"""Networks that remember: what they declare, and how the harness runs them.
+
+A state is a tensor (n, h), a row for each agent, or a tuple of such, as the (h, c) of an LSTM. The harness
+keeps it: an episode records it as H more entries of each agent's observation, behind those of the task. So
+whatever is asked about a recorded timestep is answered from the state that the team had come to, and
+explainers and metrics need not know that there is one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, TypeGuard
+
+import torch
+from torch import Tensor, nn
+
+from xmarl_bench.errors import InputError
+
+State = Tensor | tuple[Tensor, ...]
+
+
+class RecurrentNetwork(Protocol):
+    """What a network with memory has in place of `forward`; n agents, of one team or of many."""
+
+    def initial_state(self, n: int) -> State:
+        """A row for each agent, before the first timestep of an episode."""
+
+    def step(self, x: Tensor, edge_index: Tensor, state: Any) -> tuple[Tensor, State]:
+        """(n, D), (2, edges), the state -> (n, W) output, the next state, of the same shapes."""
+
+
+def is_recurrent(network: object) -> TypeGuard[RecurrentNetwork]:
+    """Whether it declares a memory."""
+    return all(callable(getattr(network, name, None)) for name in ("initial_state", "step"))
+
+
+def initial_state(network: nn.Module, n: int) -> Tensor:
+    """(n, H); H is 0 where the network is not recurrent. Raises InputError where that is no state."""
+    if not is_recurrent(network):
+        return torch.zeros(n, 0)
+    try:
+        with torch.no_grad():
+            state = network.initial_state(n)
+    except Exception as error:
+        raise InputError(
+            f"initial_state of {type(network).__name__} stopped ({type(error).__name__}: {error}): it takes "
+            f"the number of agents."
+        ) from error
+    return torch.cat(_parts(network, "initial_state", state, n), dim=1).detach()
+
+
+def run(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
+    """(n, D + H), (2, edges) -> (n, W + H): the network's output of width W, and what is remembered then."""
+    if not is_recurrent(network):
+        plain: Tensor = network(x, edge_index)
+        return plain
+    start = network.initial_state(len(x))
+    widths = [part.shape[1] for part in _parts(network, "initial_state", start, len(x))]
+    seen, *state = x.split([x.shape[1] - sum(widths), *widths], dim=1)
+    returned = network.step(seen, edge_index, state[0] if isinstance(start, Tensor) else tuple(state))
+    pair = returned if isinstance(returned, tuple) and len(returned) == 2 else (None, None)
+    output, after = pair
+    if not (isinstance(output, Tensor) and output.dim() == 2 and len(output) == len(x)):
+        raise InputError(
+            f"step of {type(network).__name__} returned something else than an output ({len(x)}, width) and "
+            f"the next state: return this pair."
+        )
+    parts = _parts(network, "step", after, len(x))
+    if [part.shape[1] for part in parts] != widths:
+        raise InputError(
+            f"step of {type(network).__name__} returned a state of widths "
+            f"{[part.shape[1] for part in parts]}, initial_state one of {widths}: return the same."
+        )
+    return torch.cat([output, *parts], dim=1)
+
+
+def _parts(network: object, method: str, state: Any, n: int) -> list[Tensor]:
+    """The tensors (n, h) of a state."""
+    parts = list(state) if isinstance(state, tuple) else [state]
+    for part in parts:
+        if not (isinstance(part, Tensor) and part.is_floating_point() and part.dim() == 2 and len(part) == n):
+            is_tensor = isinstance(part, Tensor)
+            got = f"{tuple(part.shape)} of {part.dtype}" if is_tensor else f"a {type(part).__name__}"
+            raise InputError(
+                f"{method} of {type(network).__name__} returned {got} as a state of {n} agents: return "
+                f"floating-point numbers ({n}, h), or a tuple of such."
+            )
+    return parts

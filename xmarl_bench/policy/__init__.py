@@ -1,6 +1,6 @@
 """Graph-attention policies: their architecture record, the network with its masked forward, their files.
 
-Names are loaded on first use: records of policies are read without waiting for torch.
+Names are loaded on first use, so that reading records of policies does not wait for torch.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from xmarl_bench.policy.module import ModulePolicy
     from xmarl_bench.policy.network import GraphPolicy, Prepared
 
-_HOME = {
+_MODULES = {
     "ActionDistribution": "distribution",
     "AnyArchitecture": "architecture",
     "Architecture": "architecture",
@@ -57,8 +57,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _MODULES:
         raise AttributeError(f"module 'xmarl_bench.policy' has no attribute {name!r}")
-    value = getattr(import_module(f"xmarl_bench.policy.{_HOME[name]}"), name)
+    value = getattr(import_module(f"xmarl_bench.policy.{_MODULES[name]}"), name)
     globals()[name] = value
     return value

@@ -1,7 +1,7 @@
-"""The architecture of a policy as data: enough to rebuild the network, nothing that could run.
+"""The architecture of a policy as data: enough to rebuild the network, and no code.
 
-Widths, layers and heads are bounded here; that a record's weights fit into memory is checked before anything
-is built, see xmarl_bench.policy.shapes.
+Widths, layers and heads are bounded here. xmarl_bench.policy.shapes checks that a record's weights fit into
+memory before anything is built.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ Widths = Annotated[tuple[Width, ...], Field(max_length=8)]
 Activation = Literal["tanh", "relu", "elu", "leaky_relu", "silu", "identity"]
 Convolution = Literal["GATConv", "GATv2Conv", "TransformerConv"]
 DistributionKind = Literal["tanh_normal", "normal", "deterministic", "categorical"]
-# How a decoder's numbers become scales; either way 0 becomes 1.
-# softplus: softplus(raw + log(e - 1)), 1e-4 at the least. torchrl: TorchRL's and BenchMARL's default
+# How a decoder's output becomes a scale; both map 0 to 1.
+# softplus: softplus(raw + log(e - 1)), at least 1e-4. torchrl: TorchRL's and BenchMARL's default
 # "biased_softplus_1.0", softplus(raw + log(e^0.99 - 1)) + 0.01.
 ScaleKind = Literal["softplus", "torchrl"]
 MAX_LAYER_WIDTH = 4096  # of all heads together
@@ -74,8 +74,8 @@ class _Network(_Record):
 class Architecture(_Network):
     """MLP encoder, one GATv2 layer with one head, MLP decoder to a TanhNormal's (loc, scale), or to logits.
 
-    An empty `encoder` is the identity. `action_dim` of a categorical is the number of its actions. On the
-    complete graph. Source: Kailas et al. (ICML 2025), section "Tasks"; their layer has no `residual`.
+    An empty `encoder` is the identity. `action_dim` of a categorical is the number of its actions. The graph
+    is complete. Source: Kailas et al. (ICML 2025), section "Tasks"; their layer has no `residual`.
     """
 
     kind: Literal["mlp-gatv2-mlp"] = "mlp-gatv2-mlp"
@@ -85,7 +85,7 @@ class Architecture(_Network):
     encoder_activation: Activation
     gat_width: Width
     gat_activation: Activation
-    # See GraphLayer. Not written where it is False: records from before it was a field keep their hash.
+    # See GraphLayer. Not written if False, so that records without this field keep their hash.
     residual: Annotated[bool, Field(exclude_if=lambda residual: not residual)] = False
     decoder: Widths
     decoder_activation: Activation
@@ -107,9 +107,9 @@ class GraphLayer(_Record):
     conv: Convolution
     width: Width  # of each head
     heads: Annotated[int, Field(ge=1, le=16)] = 1
-    concat: bool = True  # heads side by side; False is their mean
+    concat: bool = True  # True: heads are concatenated; False: averaged
     # Adds the layer's input through a linear map: `residual` of GATConv and GATv2Conv, `root_weight` of
-    # TransformerConv. It is no message, so no mask touches it.
+    # TransformerConv. It is not a message, so masks do not scale it.
     residual: bool = False
     activation: Activation
 
@@ -121,7 +121,7 @@ class GraphLayer(_Record):
     def _bounded(self) -> GraphLayer:
         if self.width * self.heads > MAX_LAYER_WIDTH:
             raise ValueError(
-                f"{self.heads} heads of width {self.width} are more than {MAX_LAYER_WIDTH} in all"
+                f"{self.heads} heads of width {self.width} are wider than {MAX_LAYER_WIDTH} together"
             )
         return self
 
@@ -145,7 +145,7 @@ class LayeredArchitecture(_Network):
     graph: Graph = CompleteGraph()
 
     def as_one_layer(self) -> Architecture | None:
-        """The same network as the record of the fast path; None where it is another."""
+        """The same network as a record for the fast path; None if the fast path does not support it."""
         layer, distribution = self.layers[0], self.distribution
         fits = (
             len(self.layers) == 1
@@ -176,16 +176,16 @@ class LayeredArchitecture(_Network):
 
 
 class CodeArchitecture(_Record):
-    """A network that only its author's code can build: taken with `--trust-code`, never out of a bundle.
+    """A network that only its author's code can build: needs `--trust-code`, and is never part of a bundle.
 
-    An entry that holds this record says so: its numbers can be made again by running `entry_point` alone.
+    Reproducing an entry with this record requires running the code at `entry_point`.
     """
 
     kind: Literal["code"] = "code"
     obs_dim: Annotated[int, Field(ge=1, le=4096)]
     action_dim: Annotated[int, Field(ge=1, le=64)] = 2
     entry_point: str  # module:factory
-    package: str | None  # the installed distribution it came with
+    package: str | None  # the installed distribution that holds it
     version: str | None
     code_sha256: str | None  # of the file that defines the factory
     distribution: DistributionKind

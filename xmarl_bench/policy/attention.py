@@ -1,10 +1,10 @@
-"""Where a network's attention is found: what its layers return, or what their messages are weighted by.
+"""Reads a network's attention from its layers.
 
-A layer of anyone's shows its coefficients in one of torch_geometric's two ways:
+A layer exposes its coefficients in one of torch_geometric's two ways:
 
 - its `forward` takes `return_attention_weights` and then returns `(output, (edge_index, alpha))`, as GATConv,
   GATv2Conv and TransformerConv do; or
-- its `message` has an argument `alpha`, which `propagate` was called with.
+- its `message` has an argument `alpha`, passed to it by `propagate`.
 
 alpha is (edges,) or (edges, heads).
 """
@@ -27,7 +27,7 @@ from xmarl_bench.policy.recurrent import run
 def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
     """(n, D), (2, edges) row-major -> (edges,): the mean of the coefficients over heads and layers.
 
-    Raises InputError where no layer attends.
+    Raises InputError if no layer has attention.
     """
     given, found = GivenEdges(edge_index, len(x)), list[Tensor]()
 
@@ -36,7 +36,7 @@ def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
         found.append(torch.empty_like(mean).index_copy(0, places, mean))
 
     def ask(layer: MessagePassing, args: Any, kwargs: dict[str, Any], output: Any) -> None:
-        """Calls the layer once more, past this hook."""
+        """Call the layer once more, without this hook."""
         _, (received, alpha) = layer.forward(*args, **{**kwargs, "return_attention_weights": True})
         keep(given.places(layer, received), alpha)
 
@@ -51,7 +51,7 @@ def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
             if call.layer not in asked and isinstance(alpha, Tensor):
                 keep(call.places, alpha)
     if not found:
-        raise InputError(f"{type(network).__name__} has no layer that attends: choose another explainer.")
+        raise InputError(f"{type(network).__name__} has no attention layer: choose another explainer.")
     return torch.stack(found).mean(dim=0)
 
 

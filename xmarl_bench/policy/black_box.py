@@ -1,8 +1,8 @@
-"""A policy that only answers: what an explainer gets that declares neither gradients nor weights.
+"""A policy that only answers queries: given to explainers that declare neither gradients nor weights.
 
-It keeps a promise honest, it is no prison: whoever digs through Python's closures finds the network. What it
-guards against is using by mistake what was declared unused: answers carry no gradient, there are no
-parameters and no layers, and attention is told only to those who declared it.
+Prevents accidental use of what an explainer did not declare; not a security boundary, because Python closures
+still hold the network. Outputs have no gradient, there are no parameters and layers, and attention is
+available only to explainers that declare it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Answer = Callable[[Tensor | None], ActionDistribution]
 
 
 class BlackBox(Policy):
-    """Answers F and F(m) for (S, N, D) observations; nothing else of the policy has a name here."""
+    """Answers F and F(m) for (S, N, D) observations, and exposes nothing else of the policy."""
 
     def __init__(self, policy: Policy, *, attention: bool = False) -> None:
         super().__init__()
@@ -43,7 +43,9 @@ class BlackBox(Policy):
 
         def attended(observation: Tensor) -> Tensor:
             if not attention:
-                raise InputError("attention was asked for, but is not among the accesses declared: add it.")
+                raise InputError(
+                    "the explainer reads attention but does not declare it: add 'attention' to its accesses."
+                )
             with torch.no_grad():
                 return policy.attention(observation)
 
@@ -60,7 +62,7 @@ class BlackBox(Policy):
         return self._forward(x, edge_index)
 
     def prepare(self, observation: Tensor) -> Answer:
-        """(S, N, D) -> what answers for these observations."""
+        """(S, N, D) -> a function that answers for these observations."""
         return self._prepare(observation)
 
     def decode(self, prepared: Answer, mask: Tensor | None = None) -> ActionDistribution:
@@ -68,5 +70,5 @@ class BlackBox(Policy):
         return prepared(mask)
 
     def attention(self, observation: Tensor) -> Tensor:
-        """(S, N, D) -> (S, N, N). Raises InputError where attention is not declared."""
+        """(S, N, D) -> (S, N, N). Raises InputError if the explainer does not declare attention."""
         return self._attended(observation)

@@ -1,4 +1,4 @@
-"""From an architecture record to a network."""
+"""Builds networks from architecture records."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import misfit
 from xmarl_bench.reproducible import seeded
 
-LAYER = "layers.0."  # of the network that `GraphPolicy` calls `gat.`
+LAYER = "layers.0."  # prefix in LayeredNetwork of the layer that GraphPolicy calls `gat.`
 
 
 class LayeredPolicy(ModulePolicy):
@@ -35,11 +35,11 @@ class LayeredPolicy(ModulePolicy):
 def build_policy(
     architecture: Architecture | LayeredArchitecture, weights: dict[str, Tensor] | None = None
 ) -> GraphPolicy | LayeredPolicy:
-    """A policy in evaluation mode, on the fast path where the record allows it.
+    """A policy in evaluation mode, on the fast path if it supports the architecture.
 
-    weights: tensors by the names and of the shapes of `weight_shapes`; without them the network has the
-    initial weights of torch and torch_geometric, from torch's global generator. Raises InputError for a
-    record of too many parameters.
+    weights: tensors with the names and shapes of `weight_shapes`; without them, torch and torch_geometric
+    draw initial weights from torch's global generator. Raises InputError if the architecture has too many
+    parameters.
     """
     shapes = weight_shapes(architecture)
     if weights is not None:
@@ -60,11 +60,11 @@ def build_policy(
 def initial_policy(card: PolicyCard) -> GraphPolicy | LayeredPolicy:
     """The network of a card as it was before training, bit for bit, in evaluation mode.
 
-    Raises InputError where the card does not give the seed of the initial weights.
+    Raises InputError if the card does not hold the seed of the initial weights.
     """
     if card.initial_seed is None:
         raise InputError(
-            f"the card of {card.name!r} gives no seed of its initial weights: set initial_seed, the number "
+            f"the card of {card.name!r} has no seed of its initial weights: set initial_seed, the number "
             f"given to torch.manual_seed before the network was built."
         )
     return untrained_policy(closed(card.architecture), card.initial_seed)
@@ -79,7 +79,7 @@ def untrained_policy(
 
 
 def weights_of(policy: GraphPolicy | LayeredPolicy) -> dict[str, Tensor]:
-    """The tensors of a policy that `build_policy` made, by the names of `weight_shapes`."""
+    """The tensors of a policy that `build_policy` made, with the names of `weight_shapes`."""
     module: nn.Module = policy.network if isinstance(policy, LayeredPolicy) else policy
     return {name: tensor.detach() for name, tensor in module.state_dict().items()}
 

@@ -1,8 +1,7 @@
 """A policy on disk: `policy.safetensors` (weights) and `policy.json` (its card). Loading executes nothing.
 
-A bundle is a folder with the two files, or a zip of them. It may come from anyone: see
-xmarl_bench.policy.untrusted for what is refused before anything is built. torch is waited for where a network
-is saved or built, not where a bundle is read.
+A bundle is a folder with the two files, or a zip of them. It is untrusted: xmarl_bench.policy.untrusted
+checks it before anything is built. torch is imported only to save or build a network, not to read a bundle.
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ if TYPE_CHECKING:
     from xmarl_bench.policy.build import LayeredPolicy
     from xmarl_bench.policy.network import GraphPolicy
 
-LARGEST_TEAM_TRIED = 8  # agents: nothing in a bundle knows their number, so more would only take longer
+LARGEST_TEAM_TRIED = 8  # agents; networks of a bundle do not depend on their number
 Weights = dict[str, NDArray[np.float32]]
 
 
 class PolicyCard(BaseModel):
-    """What one should know of a policy, and what rebuilds it."""
+    """Describes a policy, and holds what is needed to rebuild it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -53,7 +52,7 @@ class PolicyCard(BaseModel):
     )
     training_seed: int | None = None
     initial_seed: int | None = Field(
-        default=None, description="what torch was seeded with before its initial weights were drawn"
+        default=None, description="torch's seed before its initial weights were drawn"
     )
     architecture: AnyArchitecture
     weights_sha256: Sha256
@@ -62,7 +61,7 @@ class PolicyCard(BaseModel):
 
 
 def save_policy(folder: Path, policy: GraphPolicy | LayeredPolicy, **card: Any) -> PolicyCard:
-    """Write weights and card into `folder` (made if missing), each file whole or not at all."""
+    """Write weights and card into `folder`, which is created if missing. Each file is written atomically."""
     from safetensors.torch import save
 
     from xmarl_bench.policy.build import weights_of
@@ -78,17 +77,16 @@ def save_policy(folder: Path, policy: GraphPolicy | LayeredPolicy, **card: Any) 
 
 
 def load_card(bundle: Path) -> PolicyCard:
-    """Read and validate `policy.json` alone. Raises InputError."""
+    """Read and validate `policy.json` only. Raises InputError if it is invalid."""
     return parse_card(read_member(bundle, CARD), str(bundle / CARD))
 
 
 def load_policy(
     bundle: Path, card: PolicyCard | None = None
 ) -> tuple[GraphPolicy | LayeredPolicy, PolicyCard]:
-    """Rebuild the network of a bundle, in evaluation mode. card: what `load_card` read, not read again.
+    """Rebuild the network of a bundle, in evaluation mode. card: the bundle's card, if already loaded.
 
-    Raises InputError where a file is missing, truncated, of another architecture or not the one the card
-    names, or where a weight is not finite.
+    Raises InputError if a file is missing, truncated or does not fit the card, or if a weight is not finite.
     """
     if card is None:
         card = load_card(bundle)
@@ -97,9 +95,9 @@ def load_policy(
 
 
 def build(card: PolicyCard, weights: Weights) -> GraphPolicy | LayeredPolicy:
-    """The network of a card and of weights that were parsed for it, in evaluation mode.
+    """The network of a card with weights that `parse_weights` returned, in evaluation mode.
 
-    Raises InputError where masks do not land on their edges, which only an error of ours could bring about.
+    Raises InputError if a mask scales other edges than its own, which would be a bug of ours.
     """
     import torch
 
@@ -115,28 +113,28 @@ def build(card: PolicyCard, weights: Weights) -> GraphPolicy | LayeredPolicy:
 
 
 def parse_card(data: bytes, where: str) -> PolicyCard:
-    """The card of a bundle. Raises InputError, which says `where` it lies."""
+    """The card of a bundle. Raises InputError if it is invalid. where: its path, for the message."""
     try:
         parse_json(data, max_bytes=MAX_BYTES[CARD])
         card = PolicyCard.model_validate_json(data)
     except ValidationError as error:
-        said, place = first_error(error)
-        said, place = shown(said, 200).strip("'\""), shown(place or "the whole file")
-        raise InputError(f"{where} is not a policy card: {said} at {place}.") from None
+        problem, place = first_error(error)
+        problem, place = shown(problem, 200).strip("'\""), shown(place or "the whole file")
+        raise InputError(f"{where} is not a policy card: {problem} at {place}.") from None
     except ValueError as error:
         raise InputError(f"{where} is not a policy card: it {error}.") from None
     if isinstance(card.architecture, CodeArchitecture):
         raise InputError(
-            f"{where} is not a policy card: its architecture is code, and a bundle holds none: give "
+            f"{where} is not a policy card: its architecture is code, which bundles do not hold: give "
             f"the code itself, as module:factory with --trust-code."
         )
     return card
 
 
 def parse_weights(data: bytes, card: PolicyCard, where: str) -> Weights:
-    """The weights that a card is of, by the names and of the shapes of `weight_shapes`, all finite.
+    """The weights that belong to a card, with the names and shapes of `weight_shapes`, all finite.
 
-    Raises InputError, which says `where` they lie, for anything else.
+    Raises InputError for anything else. where: their path, for the message.
     """
     check_weights(data, weight_shapes(closed(card.architecture)), where)
     try:
@@ -148,13 +146,13 @@ def parse_weights(data: bytes, card: PolicyCard, where: str) -> Weights:
     digest = hashlib.sha256(data).hexdigest()
     if digest != card.weights_sha256:
         raise InputError(
-            f"{where} has sha256 {digest[:12]}..., its card says {card.weights_sha256[:12]}...: "
-            f"the two files do not belong together."
+            f"{where} has sha256 {digest[:12]}..., but its card says {card.weights_sha256[:12]}...: "
+            f"use the two files that were saved together."
         )
     return weights
 
 
 def closed(architecture: AnyArchitecture) -> Architecture | LayeredArchitecture:
-    """The record of a card's network, which is of the closed list: `parse_card` takes no other."""
+    """A card's architecture, which is in the closed list: `parse_card` accepts no other."""
     assert not isinstance(architecture, CodeArchitecture)
     return architecture

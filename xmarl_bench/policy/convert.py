@@ -1,14 +1,13 @@
-"""Weights that others saved, to a bundle, without executing anything they hold.
+"""Converts weights saved by other tools to a bundle, without executing anything in their files.
 
-Read are a `torch.save`d state dict (with `weights_only=True`, which knows tensors and plain containers and
-calls nothing), safetensors, and a stable-baselines3 zip of `xmarl-train`: its `policy.pth` is such a state
-dict, and the architecture stands in its `data` as plain JSON; the pickles beside it are never looked at.
+Formats: a state dict written by `torch.save` (read with `weights_only=True`, which loads tensors and plain
+containers only), safetensors, and a stable-baselines3 zip of `xmarl-train`. The zip's `policy.pth` is a state
+dict, and its `data` holds the architecture as plain JSON; its pickles are never read.
 
-A key map says what tensors are called here. It maps the beginning of a name to another beginning, or to null
-for what is left out; of several that fit, the longest counts. Names here are those of `weight_shapes`:
-`encoder.<k>.*`, `layers.<k>.*` (as torch_geometric has them) and `decoder.<k>.*`, or `gat.*` for the one
-layer of an `Architecture`. An actor of TorchRL or BenchMARL is a `LayeredArchitecture` whose `scale` is
-"torchrl".
+A key map renames tensors. It maps a prefix of their names to a new prefix, or to null for tensors to drop;
+the longest matching prefix counts. New names are those of `weight_shapes`: `encoder.<k>.*`, `layers.<k>.*`
+(with torch_geometric's names) and `decoder.<k>.*`, or `gat.*` for the one layer of an `Architecture`. An
+actor of TorchRL or BenchMARL is a `LayeredArchitecture` whose `scale` is "torchrl".
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ from xmarl_bench.policy.architecture import Architecture, BundledArchitecture, L
 from xmarl_bench.policy.untrusted import read_file
 from xmarl_bench.records.strict_json import first_error, parse_json, shown
 
-MAX_BYTES = 512 * 1024 * 1024  # of a checkpoint: critic, optimiser and all
-MAX_PICKLE = 4 * 1024 * 1024  # what says which tensors there are, without their numbers
+MAX_BYTES = 512 * 1024 * 1024  # of a whole checkpoint, with critic and optimiser
+MAX_PICKLE = 4 * 1024 * 1024  # of the list of tensors, without their values
 SB3_WEIGHTS, SB3_DATA = "policy.pth", "data"
 SB3_KEYS: Final[Mapping[str, str | None]] = {"actor.": "", "critic.": None}
 
@@ -44,7 +43,7 @@ _KEY_MAP: TypeAdapter[dict[str, str | None]] = TypeAdapter(dict[str, str | None]
 
 
 def read_tensors(path: Path) -> dict[str, Tensor]:
-    """Every tensor of a file by its name; those of nested dicts by `outer.inner`. Raises InputError."""
+    """Every tensor of a file by name; nested dicts give names `outer.inner`. Raises InputError."""
     data = read_file(path, MAX_BYTES)
     try:
         if path.suffix == ".safetensors":
@@ -55,14 +54,15 @@ def read_tensors(path: Path) -> dict[str, Tensor]:
         return dict(_flat(_torch_load(data, path)))
     except (zipfile.BadZipFile, NotImplementedError, SafetensorError, zlib.error, EOFError) as error:
         raise InputError(
-            f"{path} is neither safetensors nor a file of torch.save or stable-baselines3 ({shown(error)})."
+            f"{path} is neither safetensors nor a file of torch.save or stable-baselines3 ({shown(error)}): "
+            f"give a file in one of these formats."
         ) from None
 
 
 def sb3_architecture(path: Path, tensors: Mapping[str, Tensor]) -> Record | None:
     """The architecture that a stable-baselines3 zip of `xmarl-train` records; None for any other file.
 
-    tensors: of the file. `obs_dim` is not recorded there in the clear: it is read off them.
+    tensors: those of the file. Its JSON does not hold `obs_dim`, so their shapes give it.
     """
     data = read_file(path, MAX_BYTES)
     if not zipfile.is_zipfile(io.BytesIO(data)):
@@ -78,47 +78,47 @@ def sb3_architecture(path: Path, tensors: Mapping[str, Tensor]) -> Record | None
         assert first is not None
         return Architecture.model_validate({**_tuples(record), "obs_dim": first.shape[1]})
     except (ValueError, KeyError, TypeError, AssertionError, IndexError):
-        raise InputError(f"{path} is no checkpoint of xmarl-train: give --architecture.") from None
+        raise InputError(f"{path} is not a checkpoint of xmarl-train: give --architecture.") from None
 
 
 def read_architecture(path: Path) -> Record:
-    """An architecture record as JSON. Raises InputError."""
+    """Read an architecture record from JSON. Raises InputError if it is invalid."""
     data = read_file(path, 1024 * 1024)
     try:
         parse_json(data)
         return _RECORD.validate_json(data)
     except ValidationError as error:
-        said, where = first_error(error)
+        problem, where = first_error(error)
         raise InputError(
-            f"{path} is no architecture: {shown(said)} at {shown(where or 'the whole file')}."
+            f"{path} is not an architecture: {shown(problem)} at {shown(where or 'the whole file')}."
         ) from None
     except ValueError as error:
-        raise InputError(f"{path} is no architecture: it {error}.") from None
+        raise InputError(f"{path} is not an architecture: it {error}.") from None
 
 
 def read_key_map(path: Path) -> KeyMap:
-    """A key map as JSON: an object of strings and nulls. Raises InputError."""
+    """Read a key map from JSON: an object of strings and nulls. Raises InputError if it is invalid."""
     data = read_file(path, 1024 * 1024)
     try:
         return _KEY_MAP.validate_python(parse_json(data), strict=True)
     except ValidationError:
-        raise InputError(f"{path} is no key map: map names to names, or to null.") from None
+        raise InputError(f"{path} is not a key map: map prefixes to prefixes, or to null.") from None
     except ValueError as error:
-        raise InputError(f"{path} is no key map: it {error}.") from None
+        raise InputError(f"{path} is not a key map: it {error}.") from None
 
 
 def rename(tensors: Mapping[str, Tensor], key_map: KeyMap) -> dict[str, Tensor]:
-    """The tensors by their names here, as float32.
+    """The tensors that the map keeps, by their new names.
 
-    Raises InputError for a name that nothing in the map begins, two that become one, and for tensors that
-    are no floating-point numbers.
+    Raises InputError if no prefix matches a name, if two names become the same, and for tensors that do not
+    hold dense floating-point numbers.
     """
     renamed: dict[str, Tensor] = {}
     for name, tensor in tensors.items():
         fitting = [prefix for prefix in key_map if name.startswith(prefix)]
         if not fitting:
             raise InputError(
-                f"the key map says nothing of tensor {shown(name)}: map its beginning to a name, or to null."
+                f"no prefix of the key map matches tensor {shown(name)}: add one, mapped to a prefix or null."
             )
         prefix = max(fitting, key=len)
         start = key_map[prefix]
@@ -126,25 +126,27 @@ def rename(tensors: Mapping[str, Tensor], key_map: KeyMap) -> dict[str, Tensor]:
             continue
         ours = start + name.removeprefix(prefix)
         if ours in renamed:
-            raise InputError(f"the key map makes two tensors {shown(ours)}: tell them apart.")
+            raise InputError(f"the key map names two tensors {shown(ours)}: map them to different names.")
         if not tensor.is_floating_point() or tensor.layout != torch.strided or tensor.is_meta:
-            raise InputError(f"tensor {shown(name)} holds no dense floating-point numbers: leave it out.")
+            raise InputError(
+                f"tensor {shown(name)} does not hold dense floating-point numbers: map it to null."
+            )
         renamed[ours] = tensor
     return renamed
 
 
 def dense(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Tensor]:
-    """Copies in float32 of the tensors whose shape is the one expected; the others as they are.
+    """Tensors with the expected shape as copies in float32, the others unchanged.
 
-    A tensor may claim any size over a few bytes (strides of 0): it is copied once its shape is known to fit.
-    Raises InputError for NaN and infinity.
+    A tensor may claim any size over a few bytes (strides of 0), so only those with the right shape are
+    copied. Raises InputError for NaN and infinity.
     """
     copied = dict(tensors)
     for name, shape in shapes.items():
         if name in tensors and tuple(tensors[name].shape) == shape:
             copied[name] = tensors[name].detach().float().contiguous().clone()
             if not bool(torch.isfinite(copied[name]).all()):
-                raise InputError(f"tensor {name!r} holds NaN or infinity: save finished weights.")
+                raise InputError(f"tensor {name!r} holds NaN or infinity: give finite weights.")
     return copied
 
 
@@ -154,7 +156,7 @@ def _torch_load(data: bytes, path: Path) -> Any:
     stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
     small = all(m.file_size <= MAX_PICKLE for m in members if m.filename.endswith("data.pkl"))
     if not stored or not small:
-        raise InputError(f"{path} is no file as torch.save writes it: save the state dict again.")
+        raise InputError(f"{path} is not a file of torch.save: save the state dict again.")
     try:
         return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except (
@@ -184,7 +186,7 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
     with archive.open(name) as file:
         data = file.read(max_bytes + 1)
     if len(data) > max_bytes:
-        raise InputError(f"{name} of the zip is larger than {max_bytes} bytes: that is no checkpoint.")
+        raise InputError(f"{name} of the zip is larger than {max_bytes} bytes: give a smaller checkpoint.")
     return data
 
 

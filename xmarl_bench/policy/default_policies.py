@@ -1,5 +1,7 @@
-"""The default policy of each cell: the best of the training seeds, by how well they did their task in
-validation. No explanation has a part in it, and no episode that scoring plays."""
+"""The default policy of each cell: the training seed with the best task metrics in validation.
+
+The choice uses no explanation and no episode that scoring plays.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,9 @@ DEFAULT_FAMILY = "residual"
 
 
 def selection_key(task: str, seen: Mapping[str, float | None]) -> tuple[float, float]:
-    """What policies and moments of a training are chosen by, from task metrics; larger is better.
+    """Key by which policies and checkpoints are selected, from validation metrics; larger is better.
 
-    Success, plus the rates of episodes without collisions where the task punishes them; then the shorter
+    Success, plus the rates of episodes without collisions if the task penalises them; then the shorter
     makespan.
     """
     counted = ["success_rate"]
@@ -26,15 +28,15 @@ def selection_key(task: str, seen: Mapping[str, float | None]) -> tuple[float, f
 
 
 def is_checkpoint(card: PolicyCard) -> bool:
-    """Whether it is a moment along a training, and not the end of one."""
+    """Whether the policy was saved during training, not at its end."""
     return "percent" in card.training
 
 
 def default_policies(cards: Iterable[PolicyCard], family: str = DEFAULT_FAMILY) -> list[PolicyCard]:
-    """One card per task, team size and with or without the attention-entropy term; the first of equals.
+    """The best card of each task and team size, with and without the attention-entropy term.
 
-    It is of the family where the cell has one of it. Checkpoints, and policies without a validation, stand
-    for nothing.
+    Prefers `family` in cells that have it; the first of equals. Skips checkpoints and policies without
+    validation metrics.
     """
     cells: defaultdict[tuple[str, int, bool], list[PolicyCard]] = defaultdict(list)
     for card in cards:

@@ -1,4 +1,4 @@
-"""What a policy says about the next action of each agent."""
+"""The distribution of each agent's next action."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class ActionDistribution(NamedTuple):
     """A distribution per agent: over A action entries, each for itself, or over A numbered actions.
 
     tanh_normal: tanh of a Normal(loc, scale). normal: a Normal(loc, scale), whose draws are clipped to
-    [-1, 1], as stable-baselines3 has it. deterministic: tanh(loc) and nothing else; its scale is 0, and KL is
-    undefined. categorical: one of A numbered actions, of probability exp(loc); its scale is 0.
+    [-1, 1], as in stable-baselines3. deterministic: tanh(loc); its scale is 0, and KL is undefined.
+    categorical: one of A numbered actions, with probability exp(loc); its scale is 0.
     """
 
     loc: Tensor  # (..., N, A)
@@ -31,9 +31,9 @@ class ActionDistribution(NamedTuple):
 
     @property
     def action(self) -> Tensor:
-        """(..., N, A), F(m), what explainers explain and metrics compare.
+        """(..., N, A): F(m), which explainers explain and metrics compare.
 
-        The deterministic action in [-1, 1]; of a categorical the probabilities of its actions.
+        The deterministic action in [-1, 1]; for a categorical the probabilities of its actions.
         """
         if self.kind == "categorical":
             return self.loc.exp()
@@ -46,9 +46,9 @@ class ActionDistribution(NamedTuple):
 
     @property
     def divisor(self) -> int:
-        """What d_i divides the sum over entries of |F_i(1) - F_i(m)| by.
+        """The divisor of the sum over entries of |F_i(1) - F_i(m)| in d_i.
 
-        A, so that d_i is a mean; of a categorical 2, so that it is the total variation distance.
+        A, so that d_i is a mean; 2 for a categorical, so that d_i is the total variation distance.
         """
         return 2 if self.kind == "categorical" else self.loc.shape[-1]
 

@@ -1,10 +1,9 @@
-"""Who can hear whom: the graph a policy passes its messages on, as data and as edges.
+"""The graph on which a policy passes messages, as data and as edges.
 
-Every agent hears itself, by a loop i -> i, unless a graph has no `loops`. A mask speaks of a policy's own
-edges only: where there is no edge nothing can be kept or dropped, and what a mask holds there counts for
-nothing.
+Every agent hears itself, by a loop i -> i, unless the graph has no `loops`. Entries of a mask without an edge
+in the graph are ignored.
 
-The records are read without torch, which is imported where edges are made of them.
+Records are read without torch, which is imported only to make edges of them.
 
 S is the number of timesteps (or any batch), N agents, D observation entries.
 """
@@ -27,21 +26,21 @@ Agent = Annotated[int, Field(ge=0, lt=MAX_AGENTS)]
 class _Graph(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-    # Whether every agent hears itself. Not written where it is True: records from before it was a field keep
-    # their hash.
+    # Whether every agent hears itself. Not written if True, so that records without this field keep their
+    # hash.
     loops: Annotated[bool, Field(exclude_if=lambda loops: loops)] = True
 
 
 class CompleteGraph(_Graph):
-    """Everyone hears everyone."""
+    """Every agent hears every agent."""
 
     kind: Literal["complete"] = "complete"
 
     def check(self, n_agents: int, obs_dim: int) -> None:
-        """Any team will do."""
+        """Accepts any team."""
 
     def adjacency(self, observation: Tensor) -> Tensor:
-        """(S, N, D) -> (S, N, N) of True, but for the loops where there are none."""
+        """(S, N, D) -> (S, N, N), all True, except loops if the graph has none."""
         import torch
 
         n_steps, n_agents, _ = observation.shape
@@ -50,7 +49,7 @@ class CompleteGraph(_Graph):
 
 
 class RadiusGraph(_Graph):
-    """An agent hears those at most `radius` away from it, at each timestep anew."""
+    """An agent hears agents at most `radius` away. The edges change with every timestep."""
 
     kind: Literal["radius"] = "radius"
     radius: Annotated[float, Field(gt=0)]  # metres
@@ -58,15 +57,15 @@ class RadiusGraph(_Graph):
     position: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1, max_length=3)] = (0, 1)
 
     def check(self, n_agents: int, obs_dim: int) -> None:
-        """Raises InputError where observations hold no such entries."""
+        """Raise InputError if observations have no such entries."""
         if max(self.position) >= obs_dim:
             raise InputError(
                 f"the graph's position is entry {max(self.position)} of an observation of {obs_dim} entries: "
-                f"name entries from 0 to {obs_dim - 1}."
+                f"give entries from 0 to {obs_dim - 1}."
             )
 
     def adjacency(self, observation: Tensor) -> Tensor:
-        """(S, N, D) -> (S, N, N): j -> i is an edge where j is at most `radius` away from i."""
+        """(S, N, D) -> (S, N, N): j -> i is an edge if j is at most `radius` away from i."""
         import torch
 
         position = observation[..., list(self.position)].detach()
@@ -76,21 +75,21 @@ class RadiusGraph(_Graph):
 
 
 class FixedGraph(_Graph):
-    """A given adjacency, for teams of one size: the same edges at every timestep.
+    """A given adjacency for teams of one size, the same at every timestep.
 
-    Without `loops` it has the edges given and no others.
+    Without `loops` the graph has only the edges given.
     """
 
     kind: Literal["fixed"] = "fixed"
     n_agents: Annotated[int, Field(ge=1, le=MAX_AGENTS)]
-    # (sender, receiver). With `loops`, those may be left out.
+    # (sender, receiver). With `loops`, the edges i -> i may be omitted.
     edges: Annotated[tuple[tuple[Agent, Agent], ...], Field(max_length=65536)]
 
     def check(self, n_agents: int, obs_dim: int) -> None:
-        """Raises InputError for a team of another size, or an edge of an agent that is not in it."""
+        """Raise InputError for a team of another size, or for an edge of an agent outside the team."""
         if n_agents != self.n_agents:
             raise InputError(
-                f"the policy's graph is given for {self.n_agents} agents, not for {n_agents}: "
+                f"the policy's graph is for {self.n_agents} agents, not for {n_agents}: "
                 f"choose a team of {self.n_agents}."
             )
         last = max((agent for edge in self.edges for agent in edge), default=0)
@@ -118,7 +117,7 @@ Graph = Annotated[CompleteGraph | RadiusGraph | FixedGraph, Field(discriminator=
 def complete_graph(n_agents: int) -> Tensor:
     """(2, N * N) edges of the complete graph with self loops, row-major by receiver.
 
-    Edge number i * N + j is j -> i, so an edge mask of PyG reshaped to (N, N) is our mask.
+    Edge number i * N + j is j -> i, so PyG's edge mask reshaped to (N, N) is our mask.
     """
     import torch
 
@@ -127,7 +126,7 @@ def complete_graph(n_agents: int) -> Tensor:
 
 
 def edge_index_of(adjacency: Tensor) -> Tensor:
-    """(B, N, N) bool -> (2, E) edges of one block-diagonal graph, in the order of `mask[adjacency]`."""
+    """(B, N, N) bool -> (2, E) edges of one block-diagonal graph, ordered as `mask[adjacency]`."""
     import torch
 
     n_agents = adjacency.shape[-1]

@@ -1,4 +1,4 @@
-"""What explainers and metrics ask of a policy, whatever network stands behind it.
+"""The interface of a policy for explainers and metrics, independent of its network.
 
 S is the number of timesteps (or any batch), N agents, D observation entries, A action entries.
 Of a policy with memory, the last H observation entries are what the agent remembers at that timestep.
@@ -22,18 +22,18 @@ from xmarl_bench.policy.graph import CompleteGraph, Graph, complete_graph, edge_
 class Policy(nn.Module, ABC):
     """A policy shared by all agents of a team, on a graph.
 
-    `GraphPolicy` computes one attention layer on the complete graph in closed form and fast; `ModulePolicy`
+    `GraphPolicy` computes one attention layer on the complete graph in closed form, fast; `ModulePolicy`
     takes any network of torch_geometric layers, on any graph. Both give the same numbers where both apply.
     """
 
-    graph: Graph = CompleteGraph()  # who can hear whom
-    continuous_actions: bool = True  # False: it chooses one of numbered actions, see xmarl_envs.actions
+    graph: Graph = CompleteGraph()  # which agents hear which
+    continuous_actions: bool = True  # False: it chooses a numbered action, see xmarl_envs.actions
     memory_dim: int = 0  # H, numbers that each agent remembers from one timestep to the next
 
     @property
     @abstractmethod
     def row_wise(self) -> bool:
-        """Whether F_i depends on row i of the mask alone, as with a single layer that passes messages."""
+        """Whether F_i depends on row i of the mask only, as with a single message-passing layer."""
 
     @abstractmethod
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
@@ -41,39 +41,36 @@ class Policy(nn.Module, ABC):
 
     @abstractmethod
     def prepare(self, observation: Tensor) -> Any:
-        """(S, N, D) -> what of the forward pass does not depend on the mask: computed once, for `decode`."""
+        """(S, N, D) -> the part of the forward pass that does not depend on the mask, for `decode`."""
 
     @abstractmethod
     def decode(self, prepared: Any, mask: Tensor | None = None) -> ActionDistribution:
-        """F(m). mask: (..., S, N, N) in [0, 1], any leading axes; None is the mask of ones.
+        """F(m). mask: (..., S, N, N) in [0, 1], any leading axes; None: the mask of ones.
 
-        What a mask holds where the graph has no edge is not read.
+        Entries without an edge in the graph are ignored.
         """
 
     @abstractmethod
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers.
 
-        0 where the graph has no edge, so a receiver without edges has a row of zeros. Raises InputError
-        where no layer attends.
+        0 where the graph has no edge, so a receiver without edges has a row of zeros. Raises InputError if
+        no layer has attention.
         """
 
     def adjacency(self, observation: Tensor) -> Tensor | None:
-        """(S, N, D) -> (S, N, N) bool, [s, i, j] for the edge j -> i.
-
-        None for the complete graph with loops.
-        """
+        """(S, N, D) -> (S, N, N) bool, [s, i, j] for the edge j -> i; None: the complete graph with loops."""
         return None if self.graph == CompleteGraph() else self.graph.adjacency(observation)
 
     def edges(self, x: Tensor) -> Tensor:
-        """(N, D) observations of one team -> (2, edges): the graph's, in the order of our mask."""
+        """(N, D) observations of one team -> (2, edges) of the graph, in the order of our mask."""
         adjacency = self.adjacency(x[None])
         return complete_graph(len(x)) if adjacency is None else edge_index_of(adjacency)
 
     def layer_edges(self, x: Tensor) -> Tensor:
         """(N, D) -> (2, edges): `edges` in the order in which the network's layers receive them.
 
-        Explainers of torch_geometric know an edge by its place: number k of their masks scales message k.
+        torch_geometric's explainers identify edges by position: entry k of their masks scales message k.
         """
         return self.edges(x)
 
@@ -93,6 +90,6 @@ class Policy(nn.Module, ABC):
 
 
 def existing_edges(policy: Policy, observation: Tensor) -> NDArray[np.bool_] | None:
-    """`Policy.adjacency` as the metrics take it."""
+    """`Policy.adjacency` as an array, for the metrics."""
     adjacency = policy.adjacency(observation)
     return None if adjacency is None else np.asarray(adjacency.numpy())

@@ -1,8 +1,8 @@
-"""Interventions on a policy's messages: do masks land on the edges they speak of?
+"""Interventions on a policy's messages: does each entry of a mask scale its own edge?
 
-Every policy is tried so when it is opened, on random observations and random masks: whatever its network does
-inside, removing the message j -> i may change agent i alone, and agents without messages act on what they
-observe themselves. S is the number of timesteps, N agents, D observation entries.
+Every policy is tested when it is opened, on random observations and masks. Removing the message j -> i may
+change agent i only, and agents without messages must act on their own observations only. S is the number of
+timesteps, N agents, D observation entries.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.interface import Policy
 
-SAME = 1e-4  # largest difference, absolute and relative, that rounding may explain
-TRIED_AT_ONCE = 2**18  # edges of all teams that are tried side by side
+SAME = 1e-4  # largest difference, absolute and relative, that counts as rounding
+TRIED_AT_ONCE = 2**18  # edges in one batch of teams
 MAX_TRIED = 64  # messages removed from a team, one at a time
-MAX_AGENTS_TRIED = 8  # whose partners observe something else
-STEPS_REMEMBERED = 3  # before a policy with memory is tried
+MAX_AGENTS_TRIED = 8  # agents tested for a reaction to others' observations
+STEPS_REMEMBERED = 3  # steps before a policy with memory is tested
 
 
 def random_teams(n_teams: int, n_agents: int, obs_dim: int) -> Tensor:
-    """(n_teams, N, D) observations, always the same."""
+    """(n_teams, N, D) random observations, the same in every call."""
     return torch.randn(n_teams, n_agents, obs_dim, generator=torch.Generator().manual_seed(0))
 
 
 def check_interventions(policy: Policy, observations: Tensor) -> None:
-    """(S, N, D) of the task. Raises InputError where agents meet other than in messages, or a mask lands on
-    other edges.
+    """(S, N, D) of the task. Raise InputError if agents interact outside of messages, or if a mask scales the
+    wrong edges.
 
-    What agents remember is tried with what they do: a message to i may change no memory but i's.
+    Tests memories together with actions: a message to i may change the memory of i only.
     """
     with torch.no_grad():
         observations = _remembered(policy, observations)
@@ -51,14 +51,14 @@ def _remembered(policy: Policy, observations: Tensor) -> Tensor:
 
 
 def check_blind(policy: Policy, observations: Tensor) -> None:
-    """(S, N, D). Raises InputError where an agent reacts to others that it does not hear.
+    """(S, N, D). Raise InputError if an agent without messages reacts to the observations of others.
 
-    That is with every message masked, and on a graph of loops alone, where the network takes one.
+    Tested with every message masked, and on a graph of loops only, if the network accepts one.
     """
     _check_alone(_masked, policy, observations, "with every message masked")
     try:
         _on_loops(policy, observations)
-    except Exception:  # a network may pass messages on all edges of the policy's graph or on none
+    except Exception:  # a network need not accept other edges than those of the policy's graph
         return
     _check_alone(_on_loops, policy, observations, "on a graph of loops alone")
 
@@ -72,8 +72,8 @@ def _check_alone(
         others[:, i] = observations[:, i]
         if bool(_difference(here, answer(policy, others))[:, i].any()):
             raise InputError(
-                f"agent {i} reacts to what others observe {where}: let agents meet in message-passing layers "
-                f"only."
+                f"agent {i} reacts to what others observe {where}: let agents interact in message-passing "
+                f"layers only."
             )
 
 
@@ -89,10 +89,10 @@ def _on_loops(policy: Policy, observations: Tensor) -> Tensor:
 
 
 def check_receivers(policy: Policy, x: Tensor) -> None:
-    """(N, D). Raises InputError where removing the message j -> i changes another agent than i.
+    """(N, D). Raise InputError if removing the message j -> i changes an agent other than i.
 
-    With one layer the other messages are scaled at random. With several, what i heard goes on from agent to
-    agent, so the other receivers hear nothing.
+    With one layer, the other messages are scaled at random. With several layers, what i receives reaches
+    other agents through later messages, so all other receivers get none.
     """
     n_agents, generator = len(x), torch.Generator().manual_seed(1)
     adjacency = policy.adjacency(x[None])
@@ -114,7 +114,7 @@ def check_receivers(policy: Policy, x: Tensor) -> None:
         k, other = changed.nonzero()[0].tolist()
         raise InputError(
             f"masking the message {int(sender[k])} -> {int(receiver[k])} changes agent {other}: let layers "
-            f"pass messages from sender to receiver, and agents meet in them only."
+            f"pass messages from sender to receiver, and agents interact in them only."
         )
 
 
@@ -126,7 +126,7 @@ def _answer(policy: Policy, observations: Tensor, mask: Tensor) -> Tensor:
 
 
 def _difference(one: Tensor, other: Tensor) -> Tensor:
-    """(..., N, A), twice -> (..., N): which agents act in another way."""
+    """(..., N, A), twice -> (..., N): whether an agent's outputs differ."""
     return ~torch.isclose(one, other, rtol=SAME, atol=SAME, equal_nan=True).all(dim=-1)
 
 

@@ -1,4 +1,4 @@
-"""The network of a `LayeredArchitecture`: what `ModulePolicy` runs."""
+"""The network of a `LayeredArchitecture`, which `ModulePolicy` runs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from xmarl_bench.policy.network import ACTIVATIONS, mlp
 class LayeredNetwork(nn.Module):
     """(n, D), (2, edges) -> (n, raw_width): MLP encoder, attention layers, a memory among them, MLP decoder.
 
-    Tensors are named `encoder.<k>.*`, `layers.<k>.*` as torch_geometric's, `memory.*` as torch's, and
-    `decoder.<k>.*`; k counts modules, activations too, so the encoder's linear layers are 0, 2, 4.
-    Steps as xmarl_bench.policy.recurrent says; without a memory its state has no entries.
+    Tensors are named `encoder.<k>.*`, `layers.<k>.*` with torch_geometric's names, `memory.*` with torch's
+    names, and `decoder.<k>.*`. k counts modules, including activations, so the encoder's linear layers are
+    0, 2, 4. Its steps are those of xmarl_bench.policy.recurrent; without a memory its state has no entries.
     """
 
     def __init__(self, architecture: LayeredArchitecture) -> None:

@@ -1,7 +1,7 @@
-"""The messages that a network's layers pass: which edge each one belongs to, and its scaling by a mask.
+"""The messages that a network's layers pass: assigns each to its edge, and scales it by a mask.
 
-A layer may receive its edges in another order than the network was given them: sorted, or with loops at the
-end. So a mask is read by the two ends of a message and never by its place in a list.
+A layer may receive edges in another order than the network: sorted, or with loops at the end. So messages are
+matched to a mask by sender and receiver, never by position.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Inputs = tuple[Any, ...]
 
 
 class GivenEdges:
-    """The edges that a network is given, (2, edges), each once and row-major by receiver: see `row_major`."""
+    """The edges given to a network, (2, edges), each once and row-major by receiver: see `row_major`."""
 
     def __init__(self, edge_index: Tensor, n_nodes: int) -> None:
         self.edge_index, self.n_nodes = edge_index, n_nodes
@@ -29,9 +29,9 @@ class GivenEdges:
         self.in_order = torch.arange(len(self.keys))
 
     def places(self, layer: MessagePassing, received: Tensor) -> Tensor:
-        """(2, edges) that a layer receives -> for each of its messages, the place of its edge in ours.
+        """(2, edges) that a layer receives -> for each of its messages, the index of its edge in ours.
 
-        Raises InputError where the messages are not one for each edge.
+        Raises InputError if the messages are not one for each edge.
         """
         sender, receiver = ends_of(layer, received)
         keys = self._keys(sender, receiver)
@@ -45,45 +45,45 @@ class GivenEdges:
         return receiver * self.n_nodes + sender
 
     def _difference(self, layer: MessagePassing, sender: Tensor, receiver: Tensor) -> str:
-        """One sentence: what was received, and the first edge that is too many or missing."""
+        """The error message: what was received, and the first edge that is unknown, missing or repeated."""
         given = list(zip(*self.edge_index.tolist(), strict=True))
         passed = Counter(zip(sender.tolist(), receiver.tolist(), strict=True))
-        said = f"{type(layer).__name__} passes {passed.total()} messages on {len(given)} edges"
+        received = f"{type(layer).__name__} passes {passed.total()} messages on {len(given)} edges"
         graph = set(given)
         unknown = next((edge for edge in passed if edge not in graph), None)
         if unknown is not None and unknown[0] == unknown[1]:
             return (
-                f"{said}: it adds the loop {_shown(unknown)}, which the policy's graph does not have; build "
-                f"it with add_self_loops=False, or give the policy a graph with loops."
+                f"{received}: it adds the loop {_shown(unknown)}, which the policy's graph does not have; "
+                f"build it with add_self_loops=False, or give the policy a graph with loops."
             )
         if unknown is not None:
             return (
-                f"{said}: {_shown(unknown)} is no edge of the policy's graph; pass messages from sender to "
-                f"receiver, on the edges that forward is given."
+                f"{received}: {_shown(unknown)} is not an edge of the policy's graph; pass messages from "
+                f"sender to receiver, on the edges given to forward."
             )
         missing = next((edge for edge in given if edge not in passed), None)
         if missing is not None:
-            return f"{said}: it drops {_shown(missing)}; keep every edge and scale messages."
+            return f"{received}: it drops {_shown(missing)}; keep every edge and scale messages."
         twice = next(edge for edge, count in passed.items() if count > 1)
-        return f"{said}: {_shown(twice)} carries more than one; pass one message for each edge."
+        return f"{received}: {_shown(twice)} has more than one; pass one message for each edge."
 
 
 class Call(NamedTuple):
     """One call of a layer's message passing."""
 
     layer: MessagePassing
-    places: Tensor  # for each message, the place of its edge among those given
-    alphas: list[Any]  # the argument `alpha` of its `message` or None, each time that was called
+    places: Tensor  # for each message, the index of its edge among those given
+    alphas: list[Any]  # for each call of `message`, its argument `alpha` or None
 
 
 @contextmanager
 def followed(
     network: nn.Module, edge_index: Tensor, n_nodes: int, mask: Tensor | None = None
 ) -> Iterator[list[Call]]:
-    """Inside, the network runs on these edges, and its calls of message passing are listed.
+    """Record the calls of message passing while the network runs on these edges inside the block.
 
     mask: (edges,), scales every message on its edge, in every layer. Raises InputError, from within the
-    network, where a layer's messages are not one for each edge.
+    network, if a layer's messages are not one for each edge.
     """
     given, calls = GivenEdges(edge_index, n_nodes), list[Call]()
 
@@ -108,8 +108,8 @@ def followed(
     def end(layer: MessagePassing, inputs: Inputs, output: Any) -> None:
         if not next(each for each in reversed(calls) if each.layer is layer).alphas:
             raise InputError(
-                f"{type(layer).__name__} sums its messages without making them one by one, so no mask can "
-                f"scale them: pass edge_index as a plain tensor."
+                f"{type(layer).__name__} sums its messages without computing each one, so masks cannot scale "
+                f"them: pass edge_index as a plain tensor."
             )
 
     with ExitStack() as hooks:
@@ -131,19 +131,20 @@ def ends_of(layer: MessagePassing, edge_index: Tensor) -> tuple[Tensor, Tensor]:
     """(2, edges) that a layer receives -> sender and receiver of each of its messages."""
     if not isinstance(edge_index, Tensor) or edge_index.layout != torch.strided:
         raise InputError(
-            f"{type(layer).__name__} receives its edges as a sparse matrix, whose messages no mask can "
+            f"{type(layer).__name__} receives its edges as a sparse matrix, whose messages masks cannot "
             "scale: pass edge_index as a plain tensor."
         )
-    if layer.flow != "source_to_target":  # under its own masks torch_geometric computes another function then
+    if layer.flow != "source_to_target":  # torch_geometric's masks would compute another function
         raise InputError(
-            f"{type(layer).__name__} passes messages from target to source: build it the other way round."
+            f"{type(layer).__name__} passes messages from target to source: build it with "
+            f"flow='source_to_target'."
         )
     sender, receiver = edge_index
     return sender, receiver
 
 
 def row_major(edge_index: Tensor, n_nodes: int) -> Tensor:
-    """(2, edges) in any order -> by rising receiver, then sender: the order of our mask."""
+    """(2, edges) in any order -> sorted by receiver, then sender: the order of our mask."""
     sender, receiver = edge_index
     return edge_index[:, (receiver * n_nodes + sender).argsort()]
 

@@ -1,8 +1,8 @@
-"""Policies of any torch_geometric layers: several of them, several heads, GATConv, TransformerConv, ...
+"""Policies of any torch_geometric layers: several layers or heads, GATConv, TransformerConv, ...
 
-The generic way to F(m): all timesteps and masks become one block-diagonal graph, and the message on each edge
-is scaled in every layer, see xmarl_bench.policy.messages. Blocks share no edge, so a gradient with respect to
-one timestep's mask is that timestep's alone.
+The generic way to compute F(m): all timesteps and masks become one block-diagonal graph, and every layer
+scales the message on each edge, see xmarl_bench.policy.messages. Blocks share no edge, so the gradient with
+respect to a timestep's mask depends on that timestep only.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from xmarl_bench.policy.recurrent import initial_state, run
 
 
 class PreparedGraphs(NamedTuple):
-    """Nothing of a stack of layers is independent of the mask but what comes in."""
+    """Observations and graph: everything after the first layer depends on the mask."""
 
     observation: Tensor  # (S, N, D)
-    adjacency: Tensor | None  # (S, N, N); None is the complete graph
+    adjacency: Tensor | None  # (S, N, N); None: the complete graph
 
 
 class ModulePolicy(Policy):
     """A policy made of any module `network(x (n, D), edge_index (2, edges)) -> (n, 2A)`.
 
     The output holds the location of each action's Normal, then its scale before the biased softplus of
-    `action_distribution`; of a deterministic policy the locations alone, of a categorical one a logit for
-    each of `action_dim` actions. Agents may meet in PyG's message-passing layers only, which pass one message
-    for each edge of `graph`, in any order. A network that remembers says so as in
-    xmarl_bench.policy.recurrent, and `obs_dim` does not count what it remembers.
+    `action_distribution`; for a deterministic policy only the locations, for a categorical one a logit for
+    each of `action_dim` actions. Agents may interact in PyG's message-passing layers only, which pass one
+    message for each edge of `graph`, in any order. A network with memory declares it as in
+    xmarl_bench.policy.recurrent; `obs_dim` does not count the memory.
 
-    n_agents: of the teams that the network is tried on; a FixedGraph has its own. Raises InputError for a
-    network that no mask can explain, see xmarl_bench.policy.opening.
+    n_agents: team size to test the network with; a FixedGraph has its own. Raises InputError for a network
+    that masks cannot explain, see xmarl_bench.policy.opening.
     """
 
     def __init__(
@@ -73,17 +73,17 @@ class ModulePolicy(Policy):
 
     @property
     def row_wise(self) -> bool:
-        """True where exactly one message-passing layer runs, once, in a forward pass."""
+        """True if exactly one message-passing layer runs, once, in a forward pass."""
         return self._n_calls == 1
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) -> (n, A): F(1), whatever the order of the edges."""
+        """(n, D), (2, edges) in any order -> (n, A): F(1)."""
         edge_index = row_major(edge_index, len(x))
         with followed(self.network, edge_index, len(x)):
             return self._head(run(self.network, x, edge_index))[0].action
 
     def prepare(self, observation: Tensor) -> PreparedGraphs:
-        """(S, N, D), kept as it is, and who hears whom in it."""
+        """(S, N, D) -> the observations and their adjacency."""
         return PreparedGraphs(observation, self.adjacency(observation))
 
     def decode(self, prepared: PreparedGraphs, mask: Tensor | None = None) -> ActionDistribution:
@@ -119,7 +119,7 @@ class ModulePolicy(Policy):
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers.
 
-        See xmarl_bench.policy.attention for where they are found. Raises InputError where no layer attends.
+        See xmarl_bench.policy.attention for how they are read. Raises InputError if no layer has attention.
         """
         adjacency = self.adjacency(observation)
         n_steps, n_agents, _ = observation.shape
@@ -130,9 +130,9 @@ class ModulePolicy(Policy):
         return matrix
 
     def layer_edges(self, x: Tensor) -> Tensor:
-        """(N, D) -> (2, edges), in the one order in which all layers receive them.
+        """(N, D) -> (2, edges), in the order in which all layers receive them.
 
-        Raises InputError where they receive them in different orders.
+        Raises InputError if layers receive them in different orders.
         """
         edge_index = self.edges(x)
         with torch.no_grad(), followed(self.network, edge_index, len(x)) as calls:
@@ -141,7 +141,7 @@ class ModulePolicy(Policy):
         if not all(torch.equal(call.places, places) for call in calls):
             raise InputError(
                 f"the layers of {type(self.network).__name__} receive edges in different orders, and "
-                f"explainers of torch_geometric read one: choose another explainer."
+                f"torch_geometric's explainers support one order only: choose another explainer."
             )
         return edge_index[:, places]
 
@@ -151,7 +151,7 @@ class ModulePolicy(Policy):
         return action_distribution(output, self.distribution_kind, self.scale_kind), memory
 
     def _check_network(self, teams: Tensor) -> int:
-        """(2, N, D) -> how often the network passes messages."""
+        """(2, N, D) -> how often the network passes messages. Raises InputError, see `Trial.check`."""
         width = raw_width(self.distribution_kind, self.action_dim)
         holds = {"categorical": "a logit for each", "deterministic": "location"}.get(
             self.distribution_kind, "location and raw scale"
@@ -164,6 +164,6 @@ class ModulePolicy(Policy):
 
 
 def block_diagonal(n_graphs: int, n_agents: int) -> Tensor:
-    """(2, n_graphs * N * N) edges of that many complete graphs with loops, each in the order of our mask."""
+    """(2, n_graphs * N * N) edges of complete graphs with loops, each in the order of our mask."""
     first = torch.arange(n_graphs)[:, None] * n_agents
     return (complete_graph(n_agents)[:, None] + first).reshape(2, -1)

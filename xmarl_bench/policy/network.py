@@ -30,12 +30,12 @@ ACTIVATIONS: dict[str, type[nn.Module]] = {
 
 
 class Prepared(NamedTuple):
-    """What of a forward pass does not depend on the mask: computed once, used for every mask."""
+    """The part of a forward pass that does not depend on the mask: computed once, used for every mask."""
 
     attention: Tensor  # (S, N, N), rows sum to 1: attention[s, i, j] of receiver i to sender j
     message: Tensor  # (S, N, W): W x_j of sender j
-    own: Tensor  # (S, N, W): what the layer adds to the messages of receiver i: its bias, and R x_i
-    # (S, N, H): of a cell before the layer what is remembered next, of one after it what was remembered
+    own: Tensor  # (S, N, W): b + R x_i, added to the messages of receiver i
+    # (S, N, H): the next memory if the recurrent cell is before the layer, the previous one if after it
     memory: Tensor
 
 
@@ -58,8 +58,8 @@ class GraphPolicy(Policy):
         self.memory_dim = a.memory_dim
         widths = [a.encoder[-1] if a.encoder else a.obs_dim, a.gat_width]
         self.memory = None if a.memory is None else recurrent_cell(a.memory, widths)
-        # Loops are explicit edges of the graph: with add_self_loops=True PyG would re-order them,
-        # and read an explainer's mask in another order than the caller's, silently.
+        # Loops are explicit edges of the graph: with add_self_loops=True, PyG silently re-orders them and so
+        # reads an explainer's mask in the wrong order.
         self.gat = GATv2Conv(widths[0], a.gat_width, heads=1, add_self_loops=False, residual=a.residual)
         self.gat_activation = ACTIVATIONS[a.gat_activation]()
         self.decoder = nn.Sequential(
@@ -87,10 +87,10 @@ class GraphPolicy(Policy):
     ) -> ActionDistribution:
         """F(m): h_i = sum_j m_ij alpha_ij W x_j + R x_i + b, nothing renormalised, then the decoder.
 
-        The residual R x_i is no message, so no mask scales it; without a residual it is 0.
+        The residual R x_i is not a message, so masks do not scale it; without a residual it is 0.
 
-        mask: (..., S, N, N) in [0, 1], any leading axes; None is the mask of ones.
-        stand_in: (S, N, W) or (N, W), added as sum_j (1 - m_ij) alpha_ij stand_in_j; None is nothing.
+        mask: (..., S, N, N) in [0, 1], any leading axes; None: the mask of ones.
+        stand_in: (S, N, W) or (N, W), added as sum_j (1 - m_ij) alpha_ij stand_in_j; None: 0.
         """
         return self.head(self._heard(prepared, mask, stand_in), prepared.memory)[0]
 
@@ -100,7 +100,7 @@ class GraphPolicy(Policy):
         return self.head(self._heard(prepared, mask), prepared.memory)
 
     def attention(self, observation: Tensor) -> Tensor:
-        """(S, N, D) -> (S, N, N): the coefficients of the one head of the one layer."""
+        """(S, N, D) -> (S, N, N): the layer's coefficients."""
         return self.prepare(observation).attention
 
     def encode(self, observation: Tensor) -> tuple[Tensor, Tensor]:

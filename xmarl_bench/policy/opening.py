@@ -1,7 +1,7 @@
-"""What a network must be so that masks can explain it; tried on random observations before it is a policy.
+"""Tests, on random observations, that masks can explain a network, before it becomes a policy.
 
-It answers for any number of teams side by side, each for itself and always the same, and passes one message
-for each edge. That masks then land where they should is for xmarl_bench.policy.interventions to try.
+The network must accept any number of teams in a batch, compute each team independently and deterministically,
+and pass one message for each edge. xmarl_bench.policy.interventions then tests its masks.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from xmarl_bench.policy.interventions import SAME
 from xmarl_bench.policy.messages import Call, followed
 from xmarl_bench.policy.recurrent import initial_state, is_recurrent, run
 
-REPEATED = 1e-6  # threads may sum in another order
+REPEATED = 1e-6  # largest difference between two calls: threads may sum in another order
 
 
 class Trial:
-    """A network on two teams' observations (2, N, D), on the edges of each team and of both together.
+    """Runs a network on two teams' observations (2, N, D), with each team's edges and with both together.
 
-    One that remembers is tried on what it remembers after a first step.
+    A network with memory runs on its memory after a first step.
     """
 
     def __init__(
@@ -36,16 +36,16 @@ class Trial:
         self.calls: list[Call] = []  # of the last run
 
     def check(self, width: int, holds: str) -> int:
-        """How often messages are passed. Raises InputError for a network that no mask can explain.
+        """How often the network passes messages. Raises InputError if masks cannot explain it.
 
-        width: numbers to return for each agent, which `holds` describes.
+        width: number of outputs for each agent, described by `holds`.
         """
         first = self._alone(0)
         n_calls = len(self.calls)
         if n_calls == 0:
             raise InputError(
-                f"{self.name} passes no message through a layer of torch_geometric, so no mask can scale "
-                f"one: let agents meet in MessagePassing layers, not in dense attention or sums over rows."
+                f"{self.name} passes no message through a layer of torch_geometric, so masks have nothing to "
+                f"scale: let agents interact in MessagePassing layers, not in dense attention or row sums."
             )
         expected = (self.teams.shape[1], width)
         output = first[..., : first.shape[-1] - self.memory_dim] if isinstance(first, Tensor) else first
@@ -68,12 +68,13 @@ class Trial:
         beside = self._run(self.teams.flatten(0, 1), self.together)[: len(first)]
         if not torch.allclose(beside, first, rtol=SAME, atol=SAME):
             raise InputError(
-                f"{self.name} mixes the graphs of a batch: let agents meet in message-passing layers only."
+                f"{self.name} mixes the graphs of a batch: let agents interact in message-passing layers "
+                f"only."
             )
         return n_calls
 
     def _check_repeats(self, first: Tensor) -> None:
-        """Numbers drawn from torch repeat with its seed; what a network keeps changes with what it saw."""
+        """Distinguish random numbers, which repeat with torch's seed, from a state kept between calls."""
         self._alone(1)
         if _repeats(self._alone(0), first):
             return
@@ -81,12 +82,11 @@ class Trial:
         self._alone(1)
         if _repeats(self._seeded(), here):
             raise InputError(
-                f"{self.name} draws random numbers: leave out noise, and dropout that does not end with "
-                f"training."
+                f"{self.name} draws random numbers: remove noise, and dropout that stays on after training."
             )
         raise InputError(
-            f"{self.name} keeps a state from call to call, or draws numbers of its own: give the same "
-            f"actions for the same observations, and declare what it remembers by initial_state and step."
+            f"{self.name} keeps a state between calls, or draws random numbers of its own: return the same "
+            f"output for the same observations, and declare a memory with initial_state and step."
         )
 
     def _seeded(self) -> Tensor:
@@ -106,8 +106,8 @@ class Trial:
         except Exception as error:
             method, state = ("step", ", state") if is_recurrent(self.network) else ("forward", "")
             raise InputError(
-                f"{self.name} stopped on {len(x)} agents ({type(error).__name__}: {error}): its {method} "
-                f"takes (x (n, {self.obs_dim}), edge_index (2, edges){state}), of one team of "
+                f"{self.name} failed on {len(x)} agents ({type(error).__name__}: {error}): make its {method} "
+                f"take (x (n, {self.obs_dim}), edge_index (2, edges){state}), of one team of "
                 f"{self.teams.shape[1]} or of many."
             ) from error
 

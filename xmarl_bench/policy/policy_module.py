@@ -1,7 +1,7 @@
-"""Policies that bring code of their own: any torch module that passes messages along `edge_index`.
+"""Policies with their own code: any torch module that passes messages along `edge_index`.
 
-Running them is running a stranger's program, so the command line takes them with `--trust-code` only, and
-their entries say so. What needs no code is better handed over as a bundle, see xmarl_bench.policy.bundle.
+Scoring one runs its author's code, so the command line requires `--trust-code`, and entries record it. Prefer
+a bundle, which holds no code, where the architecture allows it: see xmarl_bench.policy.bundle.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from xmarl_bench.records.strict_json import first_error
 
 @dataclass(frozen=True)
 class PolicyModule:
-    """A trained network, and what it was trained for: what a factory behind `module:factory` returns.
+    """A trained network, and what it was trained for: the return value of a `module:factory`.
 
     network: forward(x (n, D), edge_index (2, edges)) -> (n, 2A), for each agent the location of its action's
-        Normal and the scale before the biased softplus; (n, A) where `distribution` is "deterministic"; for
-        each agent a logit for each of the five actions of xmarl_envs.actions where it is "categorical". The
-        rows are agents of one team or of many at once; they may meet in torch_geometric's message-passing
-        layers only, which pass one message for each edge.
+        Normal and the scale before the biased softplus; (n, A) if `distribution` is "deterministic"; a logit
+        for each of the five actions of xmarl_envs.actions if it is "categorical". The rows are agents of one
+        team or of many at once; they may interact in torch_geometric's message-passing layers only, which
+        pass one message for each edge.
     distribution: "tanh_normal", "normal", "deterministic" or "categorical", see ActionDistribution.
-    graph: who can hear whom.
-    attention_entropy: weight of the attention-entropy term in training, 0 for none.
+    graph: which agents hear which.
+    attention_entropy: weight of the attention-entropy term in training, 0 without it.
     """
 
     name: str
@@ -51,12 +51,12 @@ class PolicyModule:
     def open(self, origin: Origin) -> tuple[ModulePolicy, PolicyCard]:
         """The policy with its card, as `load_policy` returns them for a bundle.
 
-        Raises InputError for an unknown task, a network that no mask can explain (see ModulePolicy and
-        xmarl_bench.policy.interventions), and a name, team or distribution that no card takes.
+        Raises InputError for an unknown task, a network that masks cannot explain (see ModulePolicy and
+        xmarl_bench.policy.interventions), and an invalid name, team size or distribution.
         """
         if self.task not in TASKS:
             raise InputError(
-                f"policy {self.name!r} is for the unknown task {self.task!r}: name one of {', '.join(TASKS)}."
+                f"policy {self.name!r} has the unknown task {self.task!r}: give one of {', '.join(TASKS)}."
             )
         obs_dim = len(TASKS[self.task].observation_names)
         action_dim = action_width(self.distribution != "categorical")
@@ -80,8 +80,8 @@ class PolicyModule:
                 weights_sha256=_weights_sha256(self.network),
             )
         except ValidationError as error:
-            said, where = first_error(error)
-            raise InputError(f"policy {self.name!r} has no valid {where}: {said}.") from None
+            problem, where = first_error(error)
+            raise InputError(f"policy {self.name!r} has no valid {where}: {problem}.") from None
         policy = ModulePolicy(
             self.network,
             obs_dim,
@@ -95,6 +95,6 @@ class PolicyModule:
 
 
 def _weights_sha256(network: nn.Module) -> str:
-    """Of what safetensors would hold; tensors that share memory are written twice."""
+    """SHA-256 of the weights as safetensors; tensors that share memory are written twice."""
     state = {name: tensor.detach().clone().contiguous() for name, tensor in network.state_dict().items()}
     return hashlib.sha256(save(state)).hexdigest()

@@ -1,7 +1,7 @@
-"""Names and shapes of an architecture's tensors, by arithmetic: what a stranger's weights are held to.
+"""Names and shapes of an architecture's tensors, by arithmetic, to check untrusted weights against.
 
-No network is made and no torch is waited for. Names are those of `GraphPolicy` and `LayeredNetwork`, with
-torch_geometric's within a layer; tests hold both to the networks themselves.
+Builds no network and does not import torch. Names are those of `GraphPolicy` and `LayeredNetwork`, with
+torch_geometric's names within a layer; tests compare them with the networks.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Shapes = dict[str, tuple[int, ...]]
 
 
 def weight_shapes(architecture: Architecture | LayeredArchitecture) -> Shapes:
-    """The shape of every tensor by its name. Raises InputError for more than MAX_PARAMETERS numbers."""
+    """The shape of every tensor by its name. Raises InputError for more than MAX_PARAMETERS parameters."""
     a = architecture
     encoder = (a.obs_dim, *a.encoder)
     shapes = _mlp("encoder", encoder)
@@ -39,14 +39,14 @@ def weight_shapes(architecture: Architecture | LayeredArchitecture) -> Shapes:
     total = sum(math.prod(shape) for shape in shapes.values())
     if total > MAX_PARAMETERS:
         raise InputError(
-            f"an architecture of {total} parameters is more than the {MAX_PARAMETERS} that are taken: "
+            f"the architecture has {total} parameters, more than the limit of {MAX_PARAMETERS}: "
             f"make it narrower."
         )
     return shapes
 
 
 def _mlp(name: str, widths: Sequence[int]) -> Shapes:
-    """Modules are counted with the activations between them, so linear layers are 0, 2, 4."""
+    """Indices count the activations too, so linear layers are 0, 2, 4."""
     shapes: Shapes = {}
     for k, (n_in, n_out) in enumerate(pairwise(widths)):
         shapes |= _linear(f"{name}.{2 * k}", n_in, n_out)
@@ -66,7 +66,7 @@ def _memory(n_in: int, memory: Memory) -> Shapes:
 def _layer(name: str, n_in: int, layer: GraphLayer) -> Shapes:
     every_head = layer.width * layer.heads
     coefficients = (1, layer.heads, layer.width)
-    if layer.conv == "TransformerConv":  # it holds the map of its own node whether it adds it or not
+    if layer.conv == "TransformerConv":  # it has lin_skip whether it uses it or not
         shapes = _linear(f"{name}.lin_skip", n_in, layer.out_width)
         for part in ("lin_key", "lin_query", "lin_value"):
             shapes |= _linear(f"{name}.{part}", n_in, every_head)

@@ -1,6 +1,6 @@
-"""Reads the files of a policy that may be hostile: bytes in bounded memory, and what they claim to hold.
+"""Reads files of a policy that may be hostile, in bounded memory, and checks what they claim to hold.
 
-Nothing is unpacked to disk, no link is followed out of the folder, nothing is unpickled. No torch is needed.
+Unpacks nothing to disk, follows no links and unpickles nothing. Does not need torch.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from xmarl_bench.records.strict_json import parse_json, shown
 WEIGHTS, CARD = "policy.safetensors", "policy.json"
 MAX_BYTES = {WEIGHTS: 68 * 1024 * 1024, CARD: 1024 * 1024}
 MAX_HEADER = 1024 * 1024
-TEXT = (".md", ".txt", "LICENSE")  # may lie beside the two in a zip
+TEXT = (".md", ".txt", "LICENSE")  # further files allowed in a zip
 
 
 def read_member(bundle: Path, name: str) -> bytes:
-    """`policy.json` or `policy.safetensors` of a bundle: a folder, or a zip of the two. Raises InputError."""
+    """Read `policy.json` or `policy.safetensors` of a bundle, a folder or a zip. Raises InputError."""
     if bundle.suffix == ".zip":
         return _from_zip(bundle, name)
     return read_file(bundle / name, MAX_BYTES[name])
 
 
 def read_file(path: Path, max_bytes: int) -> bytes:
-    """A regular file that is no link, of at most `max_bytes`; devices and pipes are not waited for."""
+    """Read a regular file of at most `max_bytes`. Raises InputError for links, devices and pipes."""
     try:
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:
@@ -40,11 +40,11 @@ def read_file(path: Path, max_bytes: int) -> bytes:
         raise InputError(f"{path} cannot be read ({why}): give the folder of a policy.") from None
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
-        raise InputError(f"{path} is no regular file: give the folder of a policy.")
+        raise InputError(f"{path} is not a regular file: give the folder of a policy.")
     with os.fdopen(handle, "rb") as file:
         data = file.read(max_bytes + 1)
     if len(data) > max_bytes:
-        raise InputError(f"{path} is larger than {max_bytes} bytes: that is no policy of this format.")
+        raise InputError(f"{path} is larger than the limit of {max_bytes} bytes: give a smaller file.")
     return data
 
 
@@ -56,50 +56,52 @@ def _from_zip(path: Path, name: str) -> bytes:
             data = b""
             for member in members:
                 if member.filename == name:
-                    with archive.open(member) as file:  # its declared size is only a claim
+                    with archive.open(member) as file:  # its declared size may be wrong
                         data = file.read(MAX_BYTES[name] + 1)
     except InputError:
         raise
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}): give a policy's bundle.") from None
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, zlib.error) as error:
-        raise InputError(f"{path} is no zip that can be read ({shown(error)}): pack it again.") from None
+        raise InputError(f"{path} is not a readable zip ({shown(error)}): pack it again.") from None
     if not data:
         raise InputError(f"{path} holds no {name}: pack {CARD} and {WEIGHTS} into it.")
     if len(data) > MAX_BYTES[name]:
-        raise InputError(f"{path} holds a {name} of more than {MAX_BYTES[name]} bytes: that is no policy.")
+        raise InputError(
+            f"{path} holds a {name} of more than {MAX_BYTES[name]} bytes, the limit: give a smaller policy."
+        )
     return data
 
 
 def _check_members(path: Path, members: list[zipfile.ZipInfo]) -> None:
-    """A bundle is the two files and text about them: anything else is refused, read or not."""
+    """Raise InputError if the zip holds anything but the two files and text."""
     names = [member.filename for member in members]
     if len(names) != len(set(names)):
-        raise InputError(f"{path} holds one name twice: pack it again.")
+        raise InputError(f"{path} holds two files of the same name: pack it again.")
     for member in members:
         parts = PurePosixPath(member.filename).parts
         text = member.filename.endswith(TEXT)
         link = stat.S_ISLNK(member.external_attr >> 16)
         if len(parts) != 1 or link or not (member.filename in MAX_BYTES or text):
             raise InputError(
-                f"{path} holds {shown(member.filename)}: a policy's zip holds {CARD} and {WEIGHTS} at its "
-                f"top, and text."
+                f"{path} holds {shown(member.filename)}: pack only {CARD}, {WEIGHTS} and text files, without "
+                f"folders."
             )
 
 
 def check_weights(data: bytes, expected: Mapping[str, tuple[int, ...]], where: str) -> None:
-    """Compare what a safetensors file claims with what the architecture needs, before a tensor is made.
+    """Compare the header of a safetensors file with the architecture, before a tensor is made.
 
-    Raises InputError for a header that lies about its length, is no strict JSON, names other tensors, shapes
-    or types than float32, or gives them other stretches of the file than all of it, one after the other.
+    Raises InputError if the header's length is wrong, if it is not strict JSON, if names, shapes or types
+    (float32) of tensors differ, or if the tensors do not fill the rest of the file in sequence.
     """
     if len(data) < 8:
         raise InputError(f"{where} cannot be read as safetensors (it has {len(data)} bytes): save it again.")
     (length,) = struct.unpack("<Q", data[:8])
     if length > min(MAX_HEADER, len(data) - 8):
         raise InputError(
-            f"{where} cannot be read as safetensors (a header of {length} bytes is claimed, {len(data) - 8} "
-            f"are there): save it again."
+            f"{where} cannot be read as safetensors (it claims a header of {length} bytes and has "
+            f"{len(data) - 8}): save it again."
         )
     try:
         header = parse_json(data[8 : 8 + length], max_bytes=MAX_HEADER)
@@ -108,7 +110,9 @@ def check_weights(data: bytes, expected: Mapping[str, tuple[int, ...]], where: s
             f"{where} cannot be read as safetensors (its header {error}): save it again."
         ) from None
     if not isinstance(header, dict):
-        raise InputError(f"{where} cannot be read as safetensors (its header is no object): save it again.")
+        raise InputError(
+            f"{where} cannot be read as safetensors (its header is not an object): save it again."
+        )
     tensors = {name: claim for name, claim in header.items() if name != "__metadata__"}
     shapes = {name: _claimed_shape(name, claim, where) for name, claim in tensors.items()}
     problem = misfit(dict(expected), shapes)
@@ -118,9 +122,7 @@ def check_weights(data: bytes, expected: Mapping[str, tuple[int, ...]], where: s
     for name, claim in sorted(tensors.items(), key=lambda item: item[1]["data_offsets"]):
         end = position + 4 * math.prod(shapes[name])
         if claim["data_offsets"] != [position, end]:
-            raise InputError(
-                f"{where} has tensor {shown(name)} at another place than it fills: save it again."
-            )
+            raise InputError(f"{where} has a wrong position for tensor {shown(name)}: save it again.")
         position = end
     if position != len(data) - 8 - length:
         raise InputError(
@@ -130,7 +132,7 @@ def check_weights(data: bytes, expected: Mapping[str, tuple[int, ...]], where: s
 
 
 def misfit(expected: dict[str, tuple[int, ...]], received: dict[str, tuple[int, ...]]) -> str | None:
-    """The first tensor whose shape is another, is missing or is too much, as a clause; None where all fit."""
+    """The first tensor that is missing, unknown or of another shape, as a clause; None if all fit."""
     for name in sorted(expected.keys() | received.keys()):
         if expected.get(name) != received.get(name):
             shape = str(received.get(name))[:80]
@@ -148,7 +150,5 @@ def _claimed_shape(name: str, claim: Any, where: str) -> tuple[int, ...]:
         and len(claim["data_offsets"]) == 2
     )
     if not in_order:
-        raise InputError(
-            f"{where} describes tensor {shown(name)} in another way than float32 weights are: save it again."
-        )
+        raise InputError(f"{where} does not describe tensor {shown(name)} as float32 weights: save it again.")
     return tuple(claim["shape"])

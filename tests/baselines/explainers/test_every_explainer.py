@@ -222,7 +222,7 @@ def test_policies_without_attention_are_explained_by_explainers_that_need_none(e
         torch.manual_seed(0)
         policy = ModulePolicy(GraphConv(6, 4), 6)
     if explainer.name in ("attention", "attention-rowmax"):
-        with pytest.raises(InputError, match="no layer that attends"):
+        with pytest.raises(InputError, match="no attention layer"):
             run(explainer, policy, random_observations(2, 3, 6), 3)
     else:
         run(explainer, policy, random_observations(2, 3, 6), 3)

@@ -94,7 +94,7 @@ def test_a_card_without_the_seed_is_refused(tmp_path: Path) -> None:
     named = {"name": "mine", "task": "blind_navigation_v0", "n_agents": 3, "attention_entropy": 0.0}
     card = save_policy(tmp_path / "mine", small_policy(6), **named)
     assert card.initial_seed is None
-    with pytest.raises(InputError, match="'mine' gives no seed of its initial weights: set initial_seed"):
+    with pytest.raises(InputError, match="'mine' has no seed of its initial weights: set initial_seed"):
         initial_policy(card)
 
 

@@ -206,7 +206,7 @@ def test_a_black_box_only_answers() -> None:
 
     run(explain, accesses="black-box")
     assert not hasattr(seen[0], "gat")
-    with pytest.raises(InputError, match="attention was asked for, but is not among the accesses declared"):
+    with pytest.raises(InputError, match="the explainer reads attention but does not declare it"):
         run(attended, accesses="black-box")
     assert torch.equal(run(attended, accesses="attention"), run(attended))
 

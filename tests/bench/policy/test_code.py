@@ -114,7 +114,7 @@ def test_a_module_of_a_notebook_is_scored_as_it_is() -> None:
     ("factory", "said"),
     [
         ("crashes", "RuntimeError: no weights here"),
-        ("nothing", "NoneType: let its factory return a PolicyModule"),
+        ("nothing", "NoneType: make its factory return a PolicyModule"),
         ("nowhere", "unknown task 'chess'"),
         ("misnamed", "no valid name"),
         ("RAN", "is a list"),

@@ -185,9 +185,9 @@ def test_key_maps_by_hand() -> None:
     tensors = {"a.x": torch.ones(1), "a.b.y": torch.ones(2), "c": torch.ones(3, dtype=torch.long)}
     assert rename(tensors, {"a.": "p.", "a.b.": "q.", "c": None}).keys() == {"p.x", "q.y"}
     for key_map, said in (
-        ({"a.": "p."}, "says nothing of tensor 'c'"),
+        ({"a.": "p."}, "matches tensor 'c'"),
         ({"a.x": "same", "a.b.y": "same", "c": None}, "two tensors 'same'"),
-        ({"": ""}, "'c' holds no dense"),
+        ({"": ""}, "'c' does not hold dense"),
     ):
         with pytest.raises(InputError, match=said):
             rename(tensors, key_map)
@@ -204,10 +204,10 @@ def test_a_tensor_that_claims_a_size_is_copied_only_where_it_fits() -> None:
     ("options", "said"),
     [
         ({}, "give --architecture"),
-        ({"--architecture": {"kind": "code"}}, "no architecture"),
-        ({"--architecture": "x"}, "no architecture"),
-        ({"--architecture": None, "--key-map": {"a": 1}}, "no key map"),
-        ({"--architecture": None, "--key-map": []}, "no key map"),
+        ({"--architecture": {"kind": "code"}}, "is not an architecture"),
+        ({"--architecture": "x"}, "is not an architecture"),
+        ({"--architecture": None, "--key-map": {"a": 1}}, "is not a key map"),
+        ({"--architecture": None, "--key-map": []}, "is not a key map"),
         ({"--architecture": None}, "do not fit the architecture"),
         ({"--architecture": None, "--agents": 0}, "no policy can have this n_agents"),
     ],

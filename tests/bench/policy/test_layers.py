@@ -181,7 +181,7 @@ def test_action_and_entry_of_other_distributions(tmp_path: Path) -> None:
         ({"layers": ()}, "at least 1 item"),
         ({"layers": tuple(GAT2 * 5)}, "at most 8 items"),
         ({"layers": ({**TRANSFORMER[0], "heads": 17},)}, "less than or equal to 16"),
-        ({"layers": ({**TRANSFORMER[0], "width": 2048, "heads": 16},)}, "more than 4096"),
+        ({"layers": ({**TRANSFORMER[0], "width": 2048, "heads": 16},)}, "wider than 4096"),
         ({"layers": ({**TRANSFORMER[0], "conv": "os.system"},)}, "'GATConv'"),
         ({"encoder": (10**9,)}, "2048"),
         ({"encoder_activation": "eval"}, "encoder_activation"),
@@ -197,5 +197,5 @@ def test_records_are_bounded(changes: dict[str, Any], said: str) -> None:
 
 def test_too_many_parameters_are_refused_before_one_is_made() -> None:
     widest = {"conv": "TransformerConv", "width": 512, "heads": 8, "activation": "tanh"}
-    with pytest.raises(InputError, match=r"5\d{8} parameters is more than the 16777216"):
+    with pytest.raises(InputError, match=r"5\d{8} parameters, more than the limit of 16777216"):
         weight_shapes(record([widest] * 8, encoder=(2048,) * 8, decoder=(2048,) * 8))

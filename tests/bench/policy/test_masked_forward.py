@@ -251,5 +251,5 @@ def test_a_policy_without_attention_says_so() -> None:
 
     policy = ModulePolicy(Mean(), 6)
     assert policy.row_wise
-    with pytest.raises(InputError, match="no layer that attends"):
+    with pytest.raises(InputError, match="no attention layer"):
         policy.attention(random_observations(2, 3, 6))

@@ -174,7 +174,7 @@ REFUSED: dict[str, tuple[nn.Module, str]] = {
     "random dropping": (OneLayer(lambda edges, n: dropout_edge(edges, p=0.5)[0]), "it drops"),
     "edges twice": (
         OneLayer(lambda edges, n: torch.cat([edges, edges], dim=1)),
-        "0 -> 0 carries more than one",
+        "0 -> 0 has more than one",
     ),
     "relations": (
         Network(
@@ -182,12 +182,12 @@ REFUSED: dict[str, tuple[nn.Module, str]] = {
         ),
         "RGCNConv passes 6 messages on 9 edges",
     ),
-    "backwards": (OneLayer(flow="target_to_source"), "from target to source: build it the other way round"),
+    "backwards": (OneLayer(flow="target_to_source"), "from target to source: build it with flow='source_"),
     "noise": (
         Network(lambda self, x, edges: self.layer(x, edges) + 0.1 * torch.randn(len(x), 4)),
         "draws random numbers",
     ),
-    "state": (Network(remember), "keeps a state from call to call"),
+    "state": (Network(remember), "keeps a state between calls"),
     "sparse": (
         Network(
             lambda self, x, edges: self.layer(x, to_torch_coo_tensor(edges.flip(0), size=len(x))),
@@ -200,7 +200,7 @@ REFUSED: dict[str, tuple[nn.Module, str]] = {
             lambda self, x, edges: self.layer(x, by_receiver(edges, len(x))),
             GraphConv(6, 4),
         ),
-        "GraphConv sums its messages without making them one by one",
+        "GraphConv sums its messages without computing each one",
     ),
     "half a message": (Short(), "makes 5 messages on 9 edges"),
     "width": (GATv2Conv(6, 8, add_self_loops=False), r"\(3, 8\) for 3 agents: return \(3, 4\), location and"),
@@ -211,7 +211,7 @@ REFUSED: dict[str, tuple[nn.Module, str]] = {
     "not a number": (Network(lambda self, x, edges: self.layer(x, edges) / 0.0), "returned NaN or infinity"),
     "crash": (
         Network(lambda self, x, edges: self.layer(x)),
-        r"stopped on 3 agents \(TypeError.*edge_index \(2,",
+        r"failed on 3 agents \(TypeError.*edge_index \(2,",
     ),
 }
 
@@ -234,7 +234,7 @@ def test_loops_added_to_a_graph_without_them_are_refused() -> None:
 def test_edges_turned_round_are_refused_where_not_all_go_both_ways() -> None:
     turned = OneLayer(lambda edges, n: edges.flip(0))
     opened(turned)
-    with pytest.raises(InputError, match="1 -> 0 is no edge of the policy's graph"):
+    with pytest.raises(InputError, match="1 -> 0 is not an edge of the policy's graph"):
         opened(turned, graph=FixedGraph(n_agents=N, edges=((0, 1), (1, 2))))
 
 

@@ -111,7 +111,7 @@ def test_layers_without_attention(make: Callable[[], nn.Module], dense: Dense) -
         for s, (x, mask) in enumerate(zip(observations, masks, strict=True)):
             torch.testing.assert_close(loc[s], dense(layer, x, mask)[:, :2], rtol=1e-4, atol=1e-4)
     assert policy.row_wise
-    with pytest.raises(InputError, match="has no layer that attends"):
+    with pytest.raises(InputError, match="has no attention layer"):
         policy.attention(observations)
 
 

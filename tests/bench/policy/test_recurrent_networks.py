@@ -111,7 +111,7 @@ REFUSED: dict[str, tuple[Recurrent, str]] = {
     "memories handed round": (Recurrent(rolls), "agent 0 reacts to what others observe"),
     "memories of a batch mixed": (Recurrent(averages), "mixes the graphs of a batch"),
     "dense attention to memories": (Recurrent(meets), "agent 0 reacts to what others observe"),
-    "another state beside": (Recurrent(counts), "keeps a state from call to call"),
+    "another state beside": (Recurrent(counts), "keeps a state between calls"),
     "no pair": (
         Recurrent(lambda self, x, edges, state: self.layer(x, edges)),
         "something else than an output",
@@ -151,7 +151,7 @@ REFUSED: dict[str, tuple[Recurrent, str]] = {
     "stops at the start": (Recurrent(still, raising), "initial_state of Recurrent stopped .* not trained"),
     "takes no state": (
         Recurrent(lambda self, x, edges, state: (self.layer(x, edges), state.cell)),
-        r"its step takes \(x \(n, 6\), edge_index \(2, edges\), state\)",
+        r"make its step take \(x \(n, 6\), edge_index \(2, edges\), state\)",
     ),
 }
 

@@ -25,10 +25,10 @@ FLOORS = (
     ("metrics", "origin", "parallel", "records", "reproducible"),
     ("policy",),
     ("entry", "rollout"),
-    ("compare", "explain"),
+    ("compare", "explain", "planted"),
     ("board", "checks", "plugins"),
     ("scoring",),
-    ("papers", "planted", "render", "submission"),
+    ("meta", "papers", "render", "submission"),
     ("cli",),
 )
 

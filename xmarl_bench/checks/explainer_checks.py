@@ -9,13 +9,13 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import torch
 from torch import Tensor
 
+from xmarl_bench.checks.degenerate_checks import DEGENERATE_CHECKS
+from xmarl_bench.checks.explainer_subject import SEED, ExplainerSubject
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
 from xmarl_bench.checks.peak_memory import peak_memory
 from xmarl_bench.checks.traces import global_settings, random_states, traces_of
@@ -24,8 +24,6 @@ from xmarl_bench.explain.explainer import (
     Explainer,
     as_floats,
     finite,
-    mask_of_explainer,
-    returned_by,
     run_explainer,
     seen,
 )
@@ -36,39 +34,11 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread, seeded
 from xmarl_bench.rollout.cell import spaced_timesteps
 
-SEED: Final = 1
 ROUNDING: Final = 1e-4  # rounding of matrix products depends on the size of the batch
 SLOW_MS: Final = 20.0  # CPU time per timestep: twice the limit of `slow`, because machines differ
 MAX_MEMORY_MB: Final = 2000.0
 TIMED_TIMESTEPS: Final = 100  # enough to share the fixed cost of a batch
 MEMORY_TIMESTEPS: Final = 500
-
-
-@dataclass(frozen=True)
-class ExplainerSubject:
-    """An explainer, fitted if it needs fitting, with a policy and states that no score uses."""
-
-    explainer: Explainer
-    policy: Policy
-    observations: Tensor  # (S, N, D)
-
-    @cached_property
-    def returned(self) -> object:
-        return returned_by(self.explainer, self.policy, self.observations, SEED)
-
-    @cached_property
-    def mask(self) -> Tensor:
-        """(S, N, N). Raises InputError if the explainer returned no valid mask."""
-        return mask_of_explainer(self.explainer, self.returned, *self.observations.shape[:2])
-
-    def mask_or_skip(self) -> Tensor:
-        try:
-            return self.mask
-        except InputError:
-            raise NotApplicable("the explainer returned no valid mask.") from None
-
-    def explain(self, observations: Tensor, seed: int = SEED) -> Tensor:
-        return run_explainer(self.explainer, self.policy, observations, seed)
 
 
 def check_explainer(
@@ -252,6 +222,7 @@ CHECKS: dict[str, Callable[[ExplainerSubject], str]] = {
     "global random state untouched": random_state_untouched,
     "order of timesteps": batch_order,
     "chunks of timesteps": chunk,
+    **DEGENERATE_CHECKS,
     "other team sizes": team_sizes,
     "time per timestep": time_per_timestep,
     "memory": memory,

@@ -152,7 +152,7 @@ def score(
 
 def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> None:
     from xmarl_bench.cli import tables
-    from xmarl_bench.planted.suite import SIZES, agreement, by_family, means_of, record, score_planted
+    from xmarl_bench.meta.planted_suite import SIZES, agreement, by_family, means_of, record, score_planted
     from xmarl_bench.records.files import write_json
 
     found = score_planted(explainers, seed=seed)

@@ -40,16 +40,21 @@ def seed_stability(
 def weight_randomisation(
     explainer: Explainer, policy: Policy, observations: Tensor, mask: Tensor, seed: int
 ) -> float:
-    """Rank correlation of `mask` (S, N, N) with that of the same policy after its weights were shuffled.
+    """Rank correlation of `mask` (S, N, N) with the mask of the same policy with shuffled weights.
 
     Near 0 is right: what was learned has gone, so should the explanation. NaN where a mask ranks nothing.
     """
+    other = mask_of_shuffled_weights(explainer, policy, observations, seed)
+    return rank_correlation(mask.numpy(), other.numpy(), existing_edges(policy, observations))
+
+
+def mask_of_shuffled_weights(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
+    """(S, N, D) -> (S, N, N): what the explainer says of the policy once its weights are shuffled."""
     shuffled = shuffled_weights(policy, derived_seed("shuffled weights", seed))
     if explainer.fitted_on is not None:  # what it learned of the weights as they were has to go as well
         refit = derived_seed("shuffled fit", seed)
         explainer = fit_explainer(explainer, shuffled, explainer.fitted_on, refit)
-    other = run_explainer(explainer, shuffled, observations, derived_seed("shuffled", seed))
-    return rank_correlation(mask.numpy(), other.numpy(), existing_edges(policy, observations))
+    return run_explainer(explainer, shuffled, observations, derived_seed("shuffled", seed))
 
 
 def shuffled_weights(policy: Policy, seed: int) -> Policy:

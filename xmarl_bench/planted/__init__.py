@@ -1,1 +1,1 @@
-"""Policies whose relevant messages are known by construction, and explainers scored against that truth."""
+"""Policies whose relevant messages are known by construction, and how well a mask finds them."""

@@ -21,7 +21,8 @@ from tests.helpers.example_plugins import BAD
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench import as_explainer
 from xmarl_bench.checks import Finding, explainer_checks, run_checks
-from xmarl_bench.checks.explainer_checks import CHECKS, ExplainerSubject
+from xmarl_bench.checks.explainer_checks import CHECKS
+from xmarl_bench.checks.explainer_subject import ExplainerSubject
 from xmarl_bench.checks.peak_memory import peak_memory
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import GraphPolicy, Policy
@@ -48,6 +49,10 @@ def attended(observations: Tensor, policy: Policy) -> Tensor:
     return policy.attention(observations)
 
 
+def attended_one(observations: Tensor, policy: Policy) -> Tensor:
+    return policy.attention(observations[None])[0]
+
+
 def noisy(observations: Tensor, policy: Policy, generator: torch.Generator) -> Tensor:
     return policy.attention(observations) * torch.rand(len(observations), 1, 1, generator=generator)
 
@@ -56,8 +61,8 @@ def noisy(observations: Tensor, policy: Policy, generator: torch.Generator) -> T
 def test_what_is_right_passes() -> None:
     assert failed(attended) == {}
     assert failed(attended, accesses="attention") == {}
-    assert failed(lambda observations: torch.ones(len(observations), len(observations)), batched=False) == {}
-    signed = found(lambda observations: observations @ observations.mT, signed=True)
+    assert failed(attended_one, batched=False) == {}
+    signed = found(lambda observations, policy: 2.0 * policy.attention(observations) - 1.0, signed=True)
     assert all(each.passed for each in signed.values()), signed
     assert "normalised by the harness" in signed["range"].message
     one = found(noisy, stochastic=True)

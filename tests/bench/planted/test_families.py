@@ -105,3 +105,7 @@ def test_teams_and_names_that_there_are_not_are_refused() -> None:
         planted("exclusive-or", 3)
     with pytest.raises(InputError, match="one-sender"):
         planted("one-sendr", 4)
+
+
+def test_states_have_several_sizes() -> None:
+    assert planted("by-content", 3).relevant.shape == (100, 3, 3)

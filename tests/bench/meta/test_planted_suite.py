@@ -1,65 +1,19 @@
-"""Ranking quality by hand and by scikit-learn's definitions; what explainers find of planted truth."""
+"""What explainers find of planted truth."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.conftest import RunCli
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.planted.families import FAMILIES, planted
-from xmarl_bench.planted.suite import PlantedScore, agreement, means_of, score_planted
-from xmarl_bench.planted.truth import auroc, average_precision
+from xmarl_bench.meta.planted_suite import PlantedScore, agreement, means_of, score_planted
+from xmarl_bench.planted.families import FAMILIES
 from xmarl_bench.plugins.registry import find_explainer
-
-ONE = np.ones((1, 4), dtype=bool)
-ONE[0, 1:] = False  # receiver 0 alone
-
-
-def row(*values: float) -> np.ndarray:
-    """A mask of receiver 0: its own edge, then three messages."""
-    mask = np.zeros((1, 4, 4))
-    mask[0, 0] = (9.0, *values)
-    return mask
-
-
-def matters(*which: bool) -> np.ndarray:
-    relevant = np.zeros((1, 4, 4), dtype=bool)
-    relevant[0, 0, 1:] = which
-    return relevant
-
-
-def test_by_hand() -> None:
-    first, last = matters(True, False, False), matters(False, False, True)
-    assert auroc(row(0.9, 0.5, 0.1), first, ONE) == average_precision(row(0.9, 0.5, 0.1), first, ONE) == 1.0
-    assert auroc(row(0.9, 0.5, 0.1), last, ONE) == 0.0
-    assert average_precision(row(0.9, 0.5, 0.1), last, ONE) == pytest.approx(1 / 3)
-    two = matters(True, False, True)  # above and below the one that does not
-    assert auroc(row(0.9, 0.5, 0.1), two, ONE) == 0.5
-    assert average_precision(row(0.9, 0.5, 0.1), two, ONE) == pytest.approx((1 + 2 / 3) / 2)
-    assert auroc(row(0.5, 0.5, 0.5), first, ONE) == 0.5
-    assert average_precision(row(0.5, 0.5, 0.5), first, ONE) == pytest.approx(1 / 3)
-
-
-@given(st.integers(0, 10**6))
-def test_the_truth_is_perfect_and_its_inverse_the_worst(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    relevant = np.zeros((5, 4, 4), dtype=bool)
-    for s, i in np.ndindex(5, 4):
-        relevant[
-            s, i, rng.choice([j for j in range(4) if j != i], size=rng.integers(1, 3), replace=False)
-        ] = True
-    counted = np.ones((5, 4), dtype=bool)
-    noisy = relevant + 0.9 * rng.random(relevant.shape)
-    assert auroc(noisy, relevant, counted) == average_precision(noisy, relevant, counted) == 1.0
-    assert auroc(-noisy, relevant, counted) == 0.0
 
 
 def test_what_explainers_are_good_and_bad_at_by_design() -> None:
@@ -109,7 +63,3 @@ def test_the_command_writes_the_same_bytes_again(run_cli: RunCli, tmp_path: Path
     assert {each["family"] for each in json.loads(written)["found"]} == set(FAMILIES)
     assert run_cli("score", "--suite", "planted", "--explainer", "attention", "--out", str(out)).code == 0
     assert (out / "planted.json").read_bytes() == written
-
-
-def test_states_have_several_sizes() -> None:
-    assert planted("by-content", 3).relevant.shape == (100, 3, 3)

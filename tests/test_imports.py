@@ -1,4 +1,4 @@
-"""Imports follow one arrow: xmarl_baselines -> xmarl_bench -> xmarl_envs, and one way inside xmarl_bench."""
+"""Imports go one way: xmarl_baselines -> xmarl_bench -> xmarl_envs, and one way inside xmarl_bench."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ ALLOWED = {
     xmarl_baselines: {"xmarl_envs", "xmarl_bench", "xmarl_baselines"},
 }
 
-# Floors of xmarl_bench, lowest first: a package imports from lower floors only, or from itself.
-FLOORS = (
+# Layers of xmarl_bench, lowest first: a package imports only from lower layers or from itself.
+LAYERS = (
     ("errors",),
     ("metrics", "origin", "parallel", "records", "reproducible"),
     ("policy",),
@@ -43,11 +43,11 @@ def test_a_package_imports_only_what_is_below_it(package: ModuleType) -> None:
         assert ours <= ALLOWED[package], file
 
 
-def test_packages_of_the_harness_import_from_lower_floors_only() -> None:
+def test_packages_of_the_harness_import_only_from_lower_layers() -> None:
     folder = Path(str(xmarl_bench.__file__)).parent
-    floor_of = {name: floor for floor, names in enumerate(FLOORS) for name in names}
+    layer_of = {name: layer for layer, names in enumerate(LAYERS) for name in names}
     here = {path.stem for path in folder.iterdir() if (path / "__init__.py").exists() or path.suffix == ".py"}
-    assert here - {"__init__"} == set(floor_of)
+    assert here - {"__init__"} == set(layer_of)
     for file in folder.rglob("*.py"):
         own = file.relative_to(folder).parts[0].removesuffix(".py")
         if own == "__init__":
@@ -56,12 +56,12 @@ def test_packages_of_the_harness_import_from_lower_floors_only() -> None:
             top, _, rest = name.partition(".")
             other = rest.partition(".")[0]
             if top == "xmarl_bench" and other != own:
-                assert floor_of[other] < floor_of[own], f"{file} imports {name}"
+                assert layer_of[other] < layer_of[own], f"{file} imports {name}"
 
 
 @functools.cache
 def modules_imported(file: Path) -> set[str]:
-    """Full names of the modules that a file imports from, inside functions too."""
+    """Full names of all modules that a file imports from, also inside functions."""
     names = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -73,12 +73,12 @@ def modules_imported(file: Path) -> set[str]:
 
 
 def imported(file: Path) -> set[str]:
-    """The top-level names of all imports of a file, inside functions too."""
+    """The top-level names of all imports of a file, also inside functions."""
     return {name.split(".")[0] for name in modules_imported(file)}
 
 
 def test_the_environments_need_no_learning_library() -> None:
-    """Nothing but the face for stable-baselines3 imports it, and nothing imports that face."""
+    """Only the adapter for stable-baselines3 imports it, and nothing imports that adapter."""
     face = "sb3_vec_env"
     for file in Path(str(xmarl_envs.__file__)).parent.rglob("*.py"):
         assert not imported(file) & {"torch", "torch_geometric"}, file

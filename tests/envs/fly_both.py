@@ -1,4 +1,4 @@
-"""Flies the same layouts in ours and in VMAS as it ships, contacts included, steered by the same rule.
+"""Plays the same layouts by the same rule in our tasks and in VMAS, contacts included.
 
 `python -m tests.envs.fly_both` prints the table of envs/README.md.
 """
@@ -20,17 +20,17 @@ Rule = Callable[[Task, State], Floats]
 
 
 class Flown(NamedTuple):
-    """Means over episodes, and the worst of all."""
+    """Means over episodes, and the deepest overlap of all."""
 
     success: float  # fraction of agents at their goals at the end; discovery: the landmark is found
-    done: float  # fraction of episodes that were
-    makespan: float  # steps until done, the task's limit where never
+    done: float  # fraction of episodes
+    makespan: float  # steps until done, the task's limit if never
     collision_free: float  # fraction of episodes without a collision between agents
-    deepest: float  # m, of one agent in another
+    deepest: float  # m, overlap of two agents
 
 
 def straight(task: Task, state: State) -> Floats:
-    """Straight to the goal at full force, slower near it; whoever is in the way is hit."""
+    """Straight to the goal at full force, slower near it, without avoiding others."""
     action = 4 * (state.targets - state.position) - 2 * state.velocity
     return np.asarray(action / np.maximum(1.0, np.linalg.norm(action, axis=-1, keepdims=True)))
 
@@ -47,7 +47,7 @@ def fly_ours(task: Task, rule: Rule, n_episodes: int) -> Flown:
 
 
 def fly_vmas(task: Task, rule: Rule, n_episodes: int, our_order: bool = False) -> Flown:
-    """our_order: VMAS integrates as Chipmunk does; its springs, walls and landmark stay."""
+    """our_order: VMAS integrates like Chipmunk, with its own springs, walls and landmark."""
     env = VectorEnv(task, n_episodes)
     env.reset(range(n_episodes))
     targets, walls = env.state.targets, env.state.walls
@@ -65,7 +65,7 @@ def fly_vmas(task: Task, rule: Rule, n_episodes: int, our_order: bool = False) -
 
 
 def _fly(task: Task, n_episodes: int, step: Callable[[], tuple[State, NDArray[np.bool_]]]) -> Flown:
-    """Collisions and success are judged by our rules in both, endings by each one's own."""
+    """Collisions and success follow our rules in both, endings each one's own."""
     going = np.ones(n_episodes, dtype=np.bool_)
     makespan = np.full(n_episodes, float(task.default_max_cycles))
     collided, success = np.zeros(n_episodes, dtype=np.bool_), np.zeros(n_episodes)

@@ -1,4 +1,4 @@
-"""Plain PPO of stable-baselines3 on any VecEnv with one entry per agent of blind navigation."""
+"""PPO of stable-baselines3 on any VecEnv with one entry per agent of blind navigation."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ N_AGENTS, MAX_CYCLES = 3, 100
 
 
 def distances_before_and_after_learning(env: VecEnv) -> tuple[float, float]:
-    """How far (m) agents are from their goals when an episode ends, before and after 8,000 team-steps.
+    """Distances (m) of agents from their goals at the end of episodes, before and after 8,000 team-steps.
 
-    Where they start they are about 1.2 m away. (Returns would say less: two agents that lean on each other
-    lose a point per step.)
+    They start about 1.2 m away. (Returns are less clear: two agents in contact lose a point per step.)
     """
     model = PPO(
         "MlpPolicy",

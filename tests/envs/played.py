@@ -1,4 +1,4 @@
-"""How teams do that act by some rule in our environments."""
+"""Plays episodes of a team that acts by some rule, and measures them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def play(task: Task, act: Act, n_episodes: int, *, copies_per_space: int = 1) ->
 
 
 def noisy(act: Callable[..., Floats], noise: float) -> Act:
-    """`act` with normal noise of that standard deviation on its actions, the same at every call of this."""
+    """`act` plus normal noise of that standard deviation; each call of `noisy` gives the same noise."""
     rng = np.random.default_rng(0)
 
     def disturbed(task: Task, state: State) -> Floats:

@@ -1,4 +1,4 @@
-"""Discrete actions: MPE2's five, each of them a push at full force, and nothing else than that."""
+"""Discrete actions are MPE2's five, each a push at full force."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ NAVIGATION = make_task("blind_navigation_v0", 3, continuous_actions=False)
 
 
 @pytest.mark.parametrize("number", range(5))
-def test_the_numbers_are_those_of_mpe2(number: int) -> None:
-    """The same number moves an agent of ours and one of theirs in the same direction."""
+def test_the_numbers_mean_the_same_as_in_mpe2(number: int) -> None:
+    """The same number moves our agent and MPE2's in the same direction."""
     theirs, ours = (
         simple_v3.parallel_env(),
         TaskParallelEnv(make_task("blind_navigation_v0", 1, continuous_actions=False)),
@@ -35,7 +35,7 @@ def test_the_numbers_are_those_of_mpe2(number: int) -> None:
 
 @tasks
 @pytest.mark.parametrize("copies", [1, 8])
-def test_an_episode_is_that_of_the_same_pushes_to_the_bit(name: str, copies: int) -> None:
+def test_an_episode_equals_that_of_the_same_pushes_bit_for_bit(name: str, copies: int) -> None:
     envs = [
         VectorEnv(make_task(name, 3, continuous_actions=continuous), 8, copies_per_space=copies)
         for continuous in (True, False)
@@ -58,7 +58,7 @@ def test_spaces_and_random_actions() -> None:
     assert team_action_space(NAVIGATION) == spaces.MultiDiscrete([5, 5, 5])
     drawn = random_actions(NAVIGATION, 400, np.random.default_rng(0))
     assert drawn.shape == (400, 3)
-    assert np.bincount(drawn.ravel(), minlength=5).min() > 150  # 240 of each, give or take
+    assert np.bincount(drawn.ravel(), minlength=5).min() > 150  # about 240 of each
     continuous = make_task("blind_navigation_v0", 3)
     box = random_actions(continuous, 1000, np.random.default_rng(0))
     assert box.shape == (1000, 3, 2) and -1 <= box.min() < -0.99 and 0.99 < box.max() <= 1
@@ -83,7 +83,7 @@ def test_the_nearest_action_is_the_nearest_push(numbers: list[float]) -> None:
         (np.array([[True, False, True]]), "numbers of type bool"),
     ],
 )
-def test_what_is_no_number_of_an_action_is_refused(bad: NDArray[Any], got: str) -> None:
+def test_invalid_action_numbers_are_refused(bad: NDArray[Any], got: str) -> None:
     env = VectorEnv(NAVIGATION)
     env.reset([0])
     with pytest.raises(
@@ -102,7 +102,9 @@ def test_what_is_no_number_of_an_action_is_refused(bad: NDArray[Any], got: str) 
         (np.zeros(2), r"the action of agent_1 must have shape \(\), got \(2,\)\."),
     ],
 )
-def test_an_agent_s_bad_action_is_refused_and_the_episode_stays_as_it_was(bad: Any, sentence: str) -> None:
+def test_an_agent_s_invalid_action_is_refused_and_leaves_the_episode_unchanged(
+    bad: Any, sentence: str
+) -> None:
     env = TaskParallelEnv(NAVIGATION)
     env.reset(seed=0)
     before = env.state()
@@ -113,7 +115,7 @@ def test_an_agent_s_bad_action_is_refused_and_the_episode_stays_as_it_was(bad: A
     np.testing.assert_array_equal(env.state(), before)
 
 
-def test_a_box_takes_no_numbers_and_numbers_are_no_box() -> None:
+def test_numbers_are_refused_by_a_box_and_vectors_by_discrete_actions() -> None:
     env = VectorEnv(make_task("blind_navigation_v0", 3))
     with pytest.raises(ValueError, match=r"actions must have shape \(1, 3, 2\), got \(1, 3\)"):
         env.step(np.zeros((1, 3), dtype=np.int64))

@@ -1,4 +1,4 @@
-"""Ours beside VMAS itself: free flight, rewards, endings and spawns. What differs: test_vmas_differences.py.
+"""Free flight, rewards, endings and spawns equal those of VMAS. For differences: test_vmas_differences.py.
 
 VMAS computes in float32: 1e-5 m is the tolerance throughout (passage pays 100 per metre, so 1e-3).
 """
@@ -47,7 +47,7 @@ def pair(name: str, n_agents: int, n_episodes: int = EPISODES) -> tuple[VectorEn
 
 
 def wandering(env: VectorEnv) -> Iterator[Actions]:
-    """Actions (B, N, 2) that vary smoothly, without end. Passage: nearly in step, for teams are tight."""
+    """Endless actions (B, N, 2) that vary smoothly. Passage: nearly the same for all, as teams are tight."""
     rng = np.random.default_rng(0)
     shape = (env.n_episodes, 1 if env.task.n_walls else env.task.n_agents, 2)
     start = env.state.position.copy()
@@ -59,7 +59,7 @@ def wandering(env: VectorEnv) -> Iterator[Actions]:
 
 
 def touches_nothing(env: VectorEnv, position: Floats) -> Bools:
-    """(B,) nobody is within 0.01 m of touching another, a wall, the border or VMAS's solid landmark."""
+    """(B,) all agents are over 0.01 m away from one another, walls, the border and VMAS's solid landmark."""
     task, margin = env.task, 0.01
     apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1) + 9 * np.eye(task.n_agents)
     free = apart.min(axis=(1, 2)) > 2 * task.radius + margin
@@ -89,17 +89,17 @@ def test_free_flight_in_the_same_order_of_integration(name: str, n_agents: int) 
         np.testing.assert_allclose(ours.reward[free], reward[free], atol=PER_METRE[name] * TOLERANCE)
         np.testing.assert_array_equal(ours.terminated[free], done[free])
         compared += int(free.sum())
-        free &= ~done  # VMAS takes a landmark that was found away
+        free &= ~done  # VMAS removes a landmark that was found
     assert compared > EPISODES * CYCLES / 4
 
 
-KEPT = (1 + 0.75**0.5) / 2  # drag before the force in one piece (VMAS), or in two halves around it (ours)
+KEPT = (1 + 0.75**0.5) / 2  # drag before the force (VMAS), or half before and half after it (ours)
 
 
 @cells
-def test_free_flight_as_vmas_ships_differs_by_a_known_amount(name: str, n_agents: int) -> None:
+def test_free_flight_differs_from_unmodified_vmas_by_a_known_amount(name: str, n_agents: int) -> None:
     """From rest, our velocity is 0.933 of VMAS's, and our position lags by 0.05 s of VMAS's velocity and by
-    0.5 % of the way; in passage, where VMAS takes one substep, by 0.075 s and 6.7 %.
+    0.5 % of the distance; in passage, where VMAS takes one substep, by 0.075 s and 6.7 %.
     """
     env, twin = pair(name, n_agents)
     one_substep = name == "blind_passage_v0"
@@ -118,15 +118,16 @@ def test_free_flight_as_vmas_ships_differs_by_a_known_amount(name: str, n_agents
         compared += int(free.sum())
         furthest = max(furthest, float(np.abs(env.state.position - twin.position)[free].max(initial=0.0)))
     assert compared > EPISODES * CYCLES / 4
-    assert furthest > 1e-3  # the amount is not nothing
+    assert furthest > 1e-3  # the difference is measurable
 
 
 @cells
 def test_rewards_and_endings_on_our_trajectories(name: str, n_agents: int) -> None:
-    """VMAS's scenario judges where our heuristic goes, to the end of each episode.
+    """VMAS's scenario judges the states that our heuristic reaches, to the end of each episode.
 
-    Left out, for they differ and have tests below: contacts; the bonus of navigation; discovery's reward
-    where more than two cover the landmark. Passage is judged every fourth step, for VMAS is slow there.
+    Left out, because they differ and have tests of their own: contacts; the bonus of navigation; discovery's
+    reward if more than two cover the landmark. Passage is judged every fourth step, because VMAS is slow
+    there.
     """
     env, twin = pair(name, n_agents, 16)
     stretch = 4 if name == "blind_passage_v0" else 1
@@ -156,7 +157,7 @@ def test_rewards_and_endings_on_our_trajectories(name: str, n_agents: int) -> No
 
 
 def near_walls(task: Task, state: State) -> Bools:
-    """(B,) somebody is nearer to a wall than where VMAS's walls begin to push, 0.00667 m and some."""
+    """(B,) some agent is within the range of VMAS's wall forces, 0.00667 m and a margin."""
     if not task.n_walls:
         return np.zeros(len(state.position), dtype=np.bool_)
     offset = np.abs(state.position[:, :, None] - state.walls[:, None])
@@ -166,7 +167,7 @@ def near_walls(task: Task, state: State) -> Bools:
 
 
 def features(name: str, agents: Floats, targets: Floats, gap: Floats | None) -> dict[str, Floats]:
-    """What a layout is, one number per episode each."""
+    """Features of layouts, each with one number per episode."""
     found: dict[str, Floats] = {}
     if name == "blind_passage_v0":
         for what, points in (("start", agents), ("goal", targets)):
@@ -185,7 +186,7 @@ def features(name: str, agents: Floats, targets: Floats, gap: Floats | None) -> 
 
 
 def smallest_p(ours: dict[str, Floats], theirs: dict[str, Floats]) -> float:
-    """Of two-sample Kolmogorov-Smirnov tests of every feature, after Bonferroni."""
+    """The smallest p of two-sample Kolmogorov-Smirnov tests of every feature, after Bonferroni."""
     assert ours.keys() == theirs.keys()
     return len(ours) * min(float(stats.ks_2samp(ours[key], theirs[key]).pvalue) for key in ours)
 
@@ -200,7 +201,7 @@ def test_spawns_have_the_same_distribution(name: str, n_agents: int) -> None:
     if gap is None:
         twin = VmasTwin(name, n_agents, n_layouts)
         theirs = features(name, twin.position, twin.targets, None)
-    else:  # the episodes of a batch share gap and slots in VMAS, so each layout is a batch of its own
+    else:  # episodes of a batch share gap and slots in VMAS, so each layout needs its own batch
         twin, drawn = VmasTwin(name, n_agents, 1), []
         for seed in range(400):
             twin.env.reset(seed=seed, return_observations=False)
@@ -212,13 +213,13 @@ def test_spawns_have_the_same_distribution(name: str, n_agents: int) -> None:
     assert smallest_p(ours, theirs) > 0.01
     if gap is not None:
         assert set(ours["gap"]) == set(theirs["gap"]) == set(range(20))
-    # The test would see another spawn: it sees a square that is smaller by a tenth.
+    # The test detects a square that is smaller by a tenth.
     smaller = features(name, 0.9 * agents, 0.9 * goals, gap)
     assert smallest_p(smaller, theirs) < 1e-3
 
 
 def test_straight_flight_with_contacts_takes_as_long_and_collides_as_often() -> None:
-    """Two models of contact, one outcome; ours stops discs 0.01 m into each other, VMAS's springs 0.05 m."""
+    """Two contact models, the same outcome; discs overlap by 0.01 m in ours, by 0.05 m in VMAS."""
     task = make_task("blind_navigation_v0", 3)
     ours, theirs = (fly(task, straight, 200) for fly in (fly_ours, fly_vmas))
     assert ours.success == theirs.success == 1.0

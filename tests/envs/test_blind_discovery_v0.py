@@ -1,4 +1,4 @@
-"""Blind discovery by hand: what is seen, paid and judged, and where episodes begin."""
+"""Blind discovery, computed by hand: observations, rewards, endings and starts."""
 
 from __future__ import annotations
 

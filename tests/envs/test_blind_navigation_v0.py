@@ -1,4 +1,4 @@
-"""Blind navigation by hand: what is seen, paid and judged, and where episodes begin."""
+"""Blind navigation, computed by hand: observations, rewards, endings and starts."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ def state(*agents: list[float]) -> State:
     return State(row(*agents), np.zeros((1, len(agents), 2)), GOALS[:, : len(agents)], NO_WALLS)
 
 
-def test_observation_is_position_velocity_and_the_way_from_the_goal() -> None:
+def test_observation_is_position_velocity_and_offset_from_the_goal() -> None:
     seen = BlindNavigation(2).observe(
         State(row([0.5, 2.0], [3.0, 4.0]), row([0.1, 0.2], [0.3, 0.4]), row([1, 0], [0, 1]), NO_WALLS)
     )
     np.testing.assert_allclose(seen, [[[0.5, 2, 0.1, 0.2, -0.5, 2], [3, 4, 0.3, 0.4, 3, 3]]])
 
 
-def test_the_team_is_paid_for_the_distance_all_of_it_gained() -> None:
+def test_the_team_is_paid_the_sum_of_distances_gained() -> None:
     before, after = row([0.0, 0.0], [0.0, 0.0], [0.0, 0.0]), state([0.3, 0.0], [0.0, -0.5], [0.0, 0.0])
     outcome = BlindNavigation(3).judge(before, after, np.zeros((1, 3)))
     np.testing.assert_allclose(outcome.reward, [[-0.2, -0.2, -0.2]])  # + 0.3 - 0.5 + 0

@@ -1,4 +1,4 @@
-"""Blind passage by hand: what is seen, paid and judged, and where episodes begin."""
+"""Blind passage, computed by hand: observations, rewards, endings and starts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def state(*agents: list[float]) -> State:
     return State(row(*agents), np.zeros((1, len(agents), 2)), GOALS[:, : len(agents)], WALLS)
 
 
-def test_observation_is_position_velocity_and_the_ways_to_goal_and_gap() -> None:
+def test_observation_is_position_velocity_and_offsets_to_goal_and_gap() -> None:
     velocity = row([0.1, 0.2], [0.3, 0.4])
     walls = row([-1.0515, 0.0], [1.4515, 0.0])  # the gap's middle is at x = 0.2
     seen = BlindPassage(2).observe(State(row([0.5, -0.6], [0.0, -0.7]), velocity, GOALS, walls))
@@ -48,13 +48,13 @@ def test_partners_and_the_wall_cost_ten_each() -> None:
         ([0.5, -0.1 - R - 0.0011], False),
         ([-0.5, 0.1 + R + 0.0009], True),  # above it
         ([-0.5, 0.1 + R + 0.0011], False),
-        ([0.0, 0.0], False),  # in the gap: 18 mm of play on both sides
+        ([0.0, 0.0], False),  # in the gap: 18 mm of clearance on both sides
         ([0.0515 - R - 0.0009, 0.0], True),
         ([-0.0515 + R + 0.0011, 0.05], False),
         (
             [0.0515 - 0.6 * (R + 0.0009), -0.1 - 0.8 * (R + 0.0009)],
             True,
-        ),  # at a corner, off both of its sides
+        ),  # at a corner, beyond both of its sides
         ([0.0515 - 0.6 * (R + 0.0011), -0.1 - 0.8 * (R + 0.0011)], False),
     ],
 )
@@ -98,7 +98,7 @@ def test_five_agents_begin_as_a_cross_below_the_wall_and_their_goals_above_it() 
         np.testing.assert_allclose(agents - agents.mean(axis=0), goals - goals.mean(axis=0), atol=1e-12)
 
 
-def test_who_stands_where_in_the_cross_is_drawn() -> None:
+def test_places_in_the_cross_are_drawn_at_random() -> None:
     centres = {
         int(np.linalg.norm(a - a.mean(axis=0), axis=1).argmin()) for a, _, _ in map(spawned5, range(50))
     }
@@ -111,7 +111,7 @@ def spawned5(seed: int) -> tuple[Floats, Floats, Floats]:
 
 @pytest.mark.parametrize("n_agents", [1, 2, 3, 4])
 def test_smaller_teams_take_some_of_the_five_slots(n_agents: int) -> None:
-    """With other agents and the same seed the formation stands at the same place: take it from five."""
+    """With the same seed the formation of five stands at the same place."""
     taken = set()
     for seed in range(100):
         agents, goals, _ = spawned(n_agents, seed)

@@ -1,4 +1,4 @@
-"""What "blind" means beside what `check_task` tries: I see myself, and through the physics nobody else."""
+"""Blindness beyond `check_task`: agents observe themselves, and do not sense others through the physics."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from xmarl_envs import TASKS, VectorEnv, make_task
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_moving_myself_does_change_it(name: str) -> None:
+def test_moving_an_agent_changes_its_own_observation(name: str) -> None:
     env = VectorEnv(make_task(name, 3))
     before = env.reset([0])[0]
     env.world.position[0, 1] += 0.5
@@ -17,8 +17,8 @@ def test_moving_myself_does_change_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_a_step_beside_a_distant_partner_is_seen_the_same(name: str) -> None:
-    """Through the physics too: what a partner does out of reach is not seen at the next step."""
+def test_actions_of_a_distant_partner_change_no_observation(name: str) -> None:
+    """Also not through the physics, at the next step."""
     seen = []
     for push in (-1.0, 1.0):
         env = VectorEnv(make_task(name, 3))

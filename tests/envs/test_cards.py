@@ -1,4 +1,4 @@
-"""Cards: a task's docstring, its section in envs/README.md and its constants say the same."""
+"""Cards: a task's docstring, its section in envs/README.md and its constants agree."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def section(name: str) -> str:
 
 
 def said(name: str, row: str) -> str:
-    """What the card says of something, e.g. "Reward"."""
+    """A row of the card, e.g. "Reward"."""
     (found,) = [line for line in card(name) if line.startswith(f"| {row} |")]
     return found
 
 
 @tasks
-def test_the_page_holds_the_card_and_a_picture(name: str) -> None:
+def test_the_page_contains_the_card_and_a_picture(name: str) -> None:
     assert "\n".join(card(name)) in section(name)
     assert f"](../docs/{name}.png)" in section(name)
     assert f"| Differs from VMAS `{name.split('_')[1]}` | Why |" in section(name)
 
 
 @tasks
-def test_the_card_tells_the_constants(name: str) -> None:
+def test_the_card_states_the_constants(name: str) -> None:
     task: Task = make_task(name)
     assert f"1 <= N <= {task.max_agents}" in said(name, "Agents")
     assert f"radius {task.radius:g} m and mass 1 kg" in said(name, "Agents")
@@ -63,7 +63,7 @@ def test_the_card_tells_the_constants(name: str) -> None:
 
 
 @tasks
-def test_the_card_tells_spaces_and_infos(name: str) -> None:
+def test_the_card_states_spaces_and_infos(name: str) -> None:
     env = TaskParallelEnv(make_task(name))
     env.reset(seed=0)
     space = str(env.observation_space("agent_0"))

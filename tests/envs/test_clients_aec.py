@@ -1,4 +1,4 @@
-"""PettingZoo's turn-by-turn (AEC) face: the same episodes, there and back."""
+"""PettingZoo's turn-by-turn (AEC) API plays the same episodes, also when converted back."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ tasks = pytest.mark.parametrize("name", TASKS)
 @pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("n_agents", [1, 4])
-def test_there_and_back_again_is_the_same_episode(name: str, n_agents: int) -> None:
-    """The wrapper itself: `aec_to_parallel` would only take the first one off."""
+def test_converted_to_aec_and_back_it_plays_the_same_episode(name: str, n_agents: int) -> None:
+    """Uses the wrapper itself: `aec_to_parallel` would only unwrap the first one."""
     direct = TaskParallelEnv(make_task(name, n_agents))
     converted = aec_to_parallel_wrapper(parallel_to_aec(TaskParallelEnv(make_task(name, n_agents))))
     assert play_env(converted, seed=3, max_steps=600) == play_env(direct, seed=3, max_steps=600)
@@ -26,7 +26,7 @@ def test_there_and_back_again_is_the_same_episode(name: str, n_agents: int) -> N
 
 @tasks
 def test_taking_turns_is_the_same_episode(name: str) -> None:
-    """`last()` tells each agent, before its next turn, what `step` of the ParallelEnv returned for it."""
+    """Before each agent's next turn, `last()` returns what `step` of the ParallelEnv returned for it."""
     peer = TaskParallelEnv(make_task(name, 3), 25)
     env = importlib.import_module(f"xmarl_envs.{name}").env(n_agents=3, max_cycles=25)
     observations, infos = peer.reset(seed=8)
@@ -52,7 +52,7 @@ def test_taking_turns_is_the_same_episode(name: str) -> None:
             n_turns += 1
         if peer.agents:
             observations, rewards, ended, over, infos = peer.step(actions)
-    assert n_turns == 3 * (25 + 1)  # every agent once more, to hear how it ended
+    assert n_turns == 3 * (25 + 1)  # every agent once more, for the last step's result
 
 
 @tasks

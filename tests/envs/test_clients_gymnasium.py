@@ -1,4 +1,4 @@
-"""Gymnasium: our vector environment does to the bit what its own does with one environment per team."""
+"""Gymnasium: our vector environment equals its own over one environment per team, bit for bit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Act = Callable[[NDArray[np.float32]], NDArray[Any]]
 
 
 class TeamEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]]):
-    """One team as an ordinary Gymnasium environment: the peer that SyncVectorEnv makes many of."""
+    """One team as an ordinary Gymnasium environment, for SyncVectorEnv."""
 
     def __init__(self, task: Task) -> None:
         self.env = TaskParallelEnv(task, MAX_CYCLES)
@@ -71,7 +71,7 @@ NAVIGATION = make_task("blind_navigation_v0", N_AGENTS)
 
 
 def steering(task: Task, seed: int = 0) -> Act:
-    """Navigation flies to its goals, for episodes to end at different times; the others push at random."""
+    """Navigation drives to its goals, so that episodes end at different times; the others push at random."""
     rng = np.random.default_rng(seed)
 
     def act(observation: NDArray[np.float32]) -> NDArray[Any]:
@@ -87,7 +87,7 @@ def steering(task: Task, seed: int = 0) -> Act:
 
 
 @both_actions
-def test_the_peer_is_a_sound_gymnasium_environment(continuous: bool) -> None:
+def test_the_peer_is_a_valid_gymnasium_environment(continuous: bool) -> None:
     task = make_task("blind_navigation_v0", N_AGENTS, continuous_actions=continuous)
     check_env(TeamEnv(task), skip_render_check=True)
 
@@ -96,7 +96,7 @@ def test_the_peer_is_a_sound_gymnasium_environment(continuous: bool) -> None:
 @tasks
 @modes
 @both_actions
-def test_every_step_is_that_of_gymnasium_s_own_vector_environment(
+def test_every_step_equals_that_of_gymnasium_s_vector_environment(
     name: str, mode: AutoresetMode, continuous: bool
 ) -> None:
     task = make_task(name, N_AGENTS, continuous_actions=continuous)
@@ -112,7 +112,7 @@ def test_every_step_is_that_of_gymnasium_s_own_vector_environment(
         terminated, truncated = results[1][2:4]
         n_terminated, n_truncated = n_terminated + terminated.sum(), n_truncated + truncated.sum()
         over = (terminated | truncated) if mode is AutoresetMode.DISABLED else np.zeros(NUM_ENVS, np.bool_)
-        over[1] |= cycle == 5  # for the entries to get out of step
+        over[1] |= cycle == 5  # so that entries get out of step
         if over.any():
             begun_again += 1
             seeds = [100 + cycle if cycle == 5 else None] * NUM_ENVS
@@ -124,7 +124,7 @@ def test_every_step_is_that_of_gymnasium_s_own_vector_environment(
 
 
 def same(results: list[Any]) -> None:
-    """The same bits, the same types; a key without any entry may be there or not."""
+    """Asserts the same bits and types; a key without any valid entry is optional."""
     for mine, theirs in zip(results[1][:-1], results[0][:-1], strict=True):
         assert mine.dtype == theirs.dtype
         np.testing.assert_array_equal(mine, theirs)
@@ -179,7 +179,7 @@ def test_gymnasium_s_wrappers_work_on_it() -> None:
     env.reset(seed=3)
     for _ in range(100):
         observation, _, _, _, infos = env.step(env.action_space.sample())
-    assert 0.3 < observation.std() < 3  # metres and m/s have become comparable
+    assert 0.3 < observation.std() < 3  # normalised
     assert isinstance(infos, list)
     assert [info["at_goal"].shape for info in infos if info] == [(N_AGENTS,)] * NUM_ENVS
 
@@ -196,13 +196,13 @@ def registered() -> Iterator[str]:
     del gymnasium.registry[name]
 
 
-def test_gymnasium_makes_it_by_name_and_measures_it(registered: str) -> None:
+def test_gymnasium_makes_a_registered_task_and_measures_its_speed(registered: str) -> None:
     env = gymnasium.make_vec(registered, num_envs=4, vectorization_mode="vector_entry_point", max_cycles=5)
     assert env.num_envs == 4
     assert benchmark_vector_step(env, target_duration=0, seed=1) > 0
 
 
-def test_what_is_wrong_is_said() -> None:
+def test_invalid_arguments_are_refused_with_a_reason() -> None:
     env = ours(NAVIGATION, AutoresetMode.DISABLED)
     with pytest.raises(ValueError, match="each entry needs one seed: got 2 seeds for 5 entries"):
         env.reset(seed=[1, 2])

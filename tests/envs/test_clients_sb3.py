@@ -1,4 +1,4 @@
-"""stable-baselines3: one entry per agent, seeded, reset and bootstrapped as SB3 has it."""
+"""stable-baselines3: one entry per agent, seeded, reset and bootstrapped as in SB3."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ both_actions = pytest.mark.parametrize("continuous", [True, False], ids=["box", 
 
 
 class LoneAgentEnv(gymnasium.Env[NDArray[np.float32], Any]):
-    """A team of one as an ordinary Gymnasium environment, which SB3's own DummyVecEnv makes many of."""
+    """A team of one as an ordinary Gymnasium environment, for SB3's DummyVecEnv."""
 
     def __init__(self, task: Task, max_cycles: int) -> None:
         self.env = TaskParallelEnv(task, max_cycles)
@@ -42,7 +42,7 @@ class LoneAgentEnv(gymnasium.Env[NDArray[np.float32], Any]):
 
 
 def steered(task: Task, observation: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[Any]:
-    """(entries, 2) noise -> actions. Navigation flies to its goals: episodes end at different times."""
+    """(entries, 2) noise -> actions. Navigation drives to its goals, so episodes end at different times."""
     if task.name != "blind_navigation_v0":
         return nearest_actions(task, noise)
     pull = -4 * observation[:, 4:6] - 2 * observation[:, 2:4]
@@ -52,14 +52,14 @@ def steered(task: Task, observation: NDArray[np.float32], noise: NDArray[np.floa
 
 
 @both_actions
-def test_the_peer_is_what_sb3_asks_for(continuous: bool) -> None:
+def test_the_peer_passes_sb3_s_check(continuous: bool) -> None:
     check_env(LoneAgentEnv(make_task("blind_navigation_v0", 1, continuous_actions=continuous), 20))
 
 
 @pytest.mark.slow
 @tasks
 @both_actions
-def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str, continuous: bool) -> None:
+def test_teams_of_one_equal_sb3_s_dummy_vec_env(name: str, continuous: bool) -> None:
     """Every bit of observations, rewards, dones and infos, over terminations and truncations."""
     task = make_task(name, 1, continuous_actions=continuous)
     peer = DummyVecEnv([lambda: LoneAgentEnv(task, 30)] * 6)
@@ -68,7 +68,7 @@ def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str, continuous: bool) -
     assert ours.action_space == peer.action_space
     rng, n_done, n_truncated = np.random.default_rng(0), 0, 0
     observation: Any
-    for seed in (3, None):  # a reset without a seed goes on in the row of episodes
+    for seed in (3, None):  # a reset without a seed draws the next seeds
         if seed is not None:
             assert ours.seed(seed) == peer.seed(seed)
         expected, observation = peer.reset(), ours.reset()
@@ -93,7 +93,7 @@ def test_teams_of_one_are_sb3_s_own_dummy_vec_env(name: str, continuous: bool) -
 
 @tasks
 @both_actions
-def test_entries_are_the_agents_of_one_team_after_the_other(name: str, continuous: bool) -> None:
+def test_entries_are_ordered_by_team_and_agent(name: str, continuous: bool) -> None:
     task = make_task(name, 3, continuous_actions=continuous)
     env = AgentVecEnv(task, 4, seed=20, max_cycles=45)
     teams = [TaskParallelEnv(task, 45) for _ in range(4)]
@@ -123,17 +123,17 @@ def test_entries_are_the_agents_of_one_team_after_the_other(name: str, continuou
         ends.append(done[::3].tolist())
     assert all(any(ended[k] for ended in ends) for k in range(4))
     if name == "blind_navigation_v0":
-        assert any(any(ended) and not all(ended) for ended in ends)  # each team in its own time
+        assert any(any(ended) and not all(ended) for ended in ends)  # teams end at different times
 
 
 @pytest.mark.training
 @both_actions
-def test_ppo_learns_a_little_with_shared_parameters(continuous: bool) -> None:
+def test_ppo_with_shared_parameters_gets_nearer_to_the_goals(continuous: bool) -> None:
     task = make_task("blind_navigation_v0", N_AGENTS, continuous_actions=continuous)
     env = AgentVecEnv(task, 16, max_cycles=MAX_CYCLES, copies_per_space=64)
     before, after = distances_before_and_after_learning(env)
     assert before > 1.0
-    assert after < 0.8 * before  # measured: 0.33 to 0.39 of it over three seeds
+    assert after < 0.8 * before  # measured: 0.33 to 0.39 times over three seeds
 
 
 @both_actions
@@ -155,7 +155,7 @@ def test_a_seeded_ppo_repeats_and_another_seed_differs(continuous: bool) -> None
     assert (weights[0] != weights[2]).any()
 
 
-def test_sb3_s_wrappers_savers_and_other_algorithms_take_it(tmp_path: Path) -> None:
+def test_sb3_s_wrappers_saving_and_other_algorithms_work(tmp_path: Path) -> None:
     env = VecNormalize(VecMonitor(AgentVecEnv(make_task("blind_discovery_v0"), 2, seed=0, max_cycles=10)))
     model = SAC("MlpPolicy", env, learning_starts=30, batch_size=32, seed=0, device="cpu")
     model.learn(120)

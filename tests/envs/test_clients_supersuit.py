@@ -28,7 +28,7 @@ def concatenated(env: Any, copies: int, base_class: str = "gymnasium", num_cpus:
 
 @tasks
 @both_actions
-def test_our_own_vector_environment_plays_what_supersuit_s_plays(name: str, continuous: bool) -> None:
+def test_our_vector_environment_plays_the_same_episodes_as_supersuit_s(name: str, continuous: bool) -> None:
     task = make_task(name, 3, continuous_actions=continuous)
     theirs = SuperSuitVecEnv(concatenated(TaskParallelEnv(task, 10), 4))
     ours = AgentVecEnv(task, 4, max_cycles=10)
@@ -55,15 +55,15 @@ def test_our_own_vector_environment_plays_what_supersuit_s_plays(name: str, cont
 
 
 class TellsBoth(TaskParallelEnv):
-    """PettingZoo lets an episode be both, done and out of time; ours never are."""
+    """An episode that is both terminated and truncated, which PettingZoo allows and ours never is."""
 
     def step(self, actions: dict[str, Any]) -> Any:
         observations, rewards, terminations, _, infos = super().step(actions)
         return observations, rewards, terminations, dict.fromkeys(terminations, not self.agents), infos
 
 
-def test_a_team_that_is_done_is_not_told_as_out_of_time() -> None:
-    """The straight flight of one agent ends at its goal; the same agent held still runs out of time."""
+def test_a_terminated_team_is_not_reported_as_truncated() -> None:
+    """An agent that drives straight terminates at its goal; the same agent held still is truncated."""
     env = SuperSuitVecEnv(concatenated(TellsBoth(make_task("blind_navigation_v0", 1), 90), 2))
     env.seed(0)
     observation: Any = env.reset()
@@ -80,15 +80,15 @@ def test_a_team_that_is_done_is_not_told_as_out_of_time() -> None:
 
 
 @pytest.mark.training
-def test_ppo_learns_a_little_through_supersuit() -> None:
+def test_ppo_through_supersuit_gets_nearer_to_the_goals() -> None:
     env = blind_navigation_v0.parallel_env(n_agents=N_AGENTS, max_cycles=MAX_CYCLES)
     before, after = distances_before_and_after_learning(SuperSuitVecEnv(concatenated(env, 16)))
     assert before > 1.0
     assert after < 0.8 * before
 
 
-def test_what_the_adapter_is_for() -> None:
-    """Should SuperSuit mend this, `SuperSuitVecEnv` can go."""
+def test_supersuit_s_own_vec_env_cannot_be_seeded() -> None:
+    """If SuperSuit fixes this, remove `SuperSuitVecEnv`."""
     env = blind_navigation_v0.parallel_env(max_cycles=2)
     theirs = concatenated(env, 2, base_class="stable_baselines3")
     for broken in (
@@ -104,13 +104,13 @@ def test_what_the_adapter_is_for() -> None:
     assert not any("TimeLimit.truncated" in info for info in infos)
 
 
-def test_copies_that_nobody_seeded_differ() -> None:
+def test_unseeded_copies_differ() -> None:
     venv = concatenated(blind_navigation_v0.parallel_env(), 4)
     assert len(np.unique(venv.reset()[0], axis=0)) == 12
 
 
 @pytest.mark.slow
-def test_several_processes_step_it_but_are_refused_where_seeds_matter() -> None:
+def test_several_processes_work_in_supersuit_but_are_refused_by_our_adapter() -> None:
     venv = concatenated(blind_passage_v0.parallel_env(max_cycles=3), 2, num_cpus=2)
     try:
         assert venv.reset()[0].shape == (6, 8)

@@ -1,4 +1,4 @@
-"""TorchRL: its PettingZooWrapper steps a task as the ParallelEnv does, infos and state included."""
+"""TorchRL: its PettingZooWrapper steps a task like the ParallelEnv, infos and state included."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pettingzoo.utils import parallel_to_aec
 from xmarl_envs import TASKS, TaskParallelEnv, make_task
 from xmarl_envs.info_at_reset import InfoAtReset
 
-pytestmark = pytest.mark.slow  # TorchRL takes a second to import: in functions, not where tests are collected
+pytestmark = pytest.mark.slow  # TorchRL takes a second to import, so tests import it inside
 tasks = pytest.mark.parametrize("name", TASKS)
 both_actions = pytest.mark.parametrize("continuous", [True, False], ids=["box", "discrete"])
 
@@ -39,13 +39,13 @@ def check_env_specs(env: Any) -> None:
 
 @tasks
 @both_actions
-def test_specs_hold_and_a_rollout_is_the_episode(name: str, continuous: bool) -> None:
+def test_specs_hold_and_a_rollout_equals_the_episode(name: str, continuous: bool) -> None:
     task = make_task(name, 3, continuous_actions=continuous)
     env = wrapped(InfoAtReset(TaskParallelEnv(task, 12)), return_state=True)
     check_env_specs(env)
     assert env.group_map == {"agent": ["agent_0", "agent_1", "agent_2"]}
     peer = TaskParallelEnv(task, 12)
-    env.set_seed(4)  # resets with the seed; the rollout below resets once more, as TorchRL has it
+    env.set_seed(4)  # resets with the seed; in TorchRL the rollout below resets once more
     peer.reset(seed=4)
     rollout = env.rollout(20)
     observations, _ = peer.reset()
@@ -66,7 +66,7 @@ def test_specs_hold_and_a_rollout_is_the_episode(name: str, continuous: bool) ->
 
 
 def same(tensor: torch.Tensor, by_agent: dict[str, Any]) -> None:
-    """(N, ...) and one value per agent, in agent order; TorchRL computes in float32."""
+    """Asserts that (N, ...) equals one value per agent, in agent order; TorchRL computes in float32."""
     np.testing.assert_array_equal(
         tensor.numpy(), torch.as_tensor(np.stack(list(by_agent.values()))).to(tensor.dtype)
     )
@@ -74,7 +74,7 @@ def same(tensor: torch.Tensor, by_agent: dict[str, Any]) -> None:
 
 @tasks
 @both_actions
-def test_turn_by_turn_environments_are_stepped_too(name: str, continuous: bool) -> None:
+def test_turn_by_turn_environments_work_too(name: str, continuous: bool) -> None:
     task = make_task(name, 2, continuous_actions=continuous)
     env = wrapped(parallel_to_aec(TaskParallelEnv(task, 6)), use_mask=True)
     check_env_specs(env)
@@ -83,7 +83,7 @@ def test_turn_by_turn_environments_are_stepped_too(name: str, continuous: bool) 
     assert int(rollout["agent_0", "mask"].sum()) == 6
 
 
-def test_a_collector_goes_on_from_episode_to_episode() -> None:
+def test_a_collector_continues_over_several_episodes() -> None:
     from torchrl.collectors import Collector
 
     env = wrapped(TaskParallelEnv(make_task("blind_navigation_v0", 3), 10))
@@ -96,7 +96,7 @@ def test_a_collector_goes_on_from_episode_to_episode() -> None:
     assert len(torch.unique(starts, dim=0)) == 5
 
 
-def test_what_info_at_reset_is_for() -> None:
-    """Should TorchRL learn of infos at the first step, `InfoAtReset` can go."""
+def test_without_info_at_reset_torchrl_drops_the_infos() -> None:
+    """If TorchRL learns the keys at the first step, remove `InfoAtReset`."""
     bare = wrapped(TaskParallelEnv(make_task("blind_navigation_v0", 3), 4))
     assert ("next", "agent", "info", "at_goal") not in bare.rollout(4).keys(True)

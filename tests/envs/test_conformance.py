@@ -1,4 +1,4 @@
-"""Our tasks keep what `check_task` checks, and every promise that it names is broken once and seen to be."""
+"""Our tasks pass `check_task`, and it detects a violation of each of its promises."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def test_our_tasks_conform(name: str, options: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_the_episodes_that_are_compared_are_crowded_ones(name: str) -> None:
+def test_the_compared_episodes_have_contacts(name: str) -> None:
     assert play(VectorEnv(make_task(name, 5)), seed=0)[1] > 20
 
 
 class Pursuit(ParallelEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]  # no py.typed in pettingzoo
-    """Somebody else's environment, which knows nothing of `Task`: two agents on a line, one fleeing."""
+    """A third-party environment that is not a `Task`: two agents on a line, one fleeing."""
 
     metadata: ClassVar[dict[str, Any]] = {"name": "pursuit", "render_modes": ["human", "rgb_array"]}
 
@@ -104,12 +104,12 @@ class Pursuit(ParallelEnv[str, NDArray[np.float32], int]):  # type: ignore[misc]
         return None if self.render_mode == "human" else np.zeros((4, 4, 3), np.uint8)
 
 
-def test_an_environment_that_is_no_task_of_ours_conforms() -> None:
+def test_a_third_party_environment_conforms() -> None:
     check_task(Pursuit, max_cycles=30)
 
 
 class EndsAtOnceMostly(Pursuit):
-    """In two of three episodes the prey is caught in the first step: no fault, and no promise is broken."""
+    """In two of three episodes the prey is caught in the first step, which breaks no promise."""
 
     def reset(self, *args: Any, **kwargs: Any) -> Any:
         result = super().reset(*args, **kwargs)
@@ -137,7 +137,7 @@ class Short(BlindNavigation):
     max_agents: ClassVar[int] = 4
 
 
-def test_what_is_broken_below_conforms_otherwise() -> None:
+def test_the_task_that_is_broken_below_conforms() -> None:
     check_task(Short)
     check_task(partial(Broken, Short()))
 
@@ -181,7 +181,7 @@ class CountsItsEpisodes(Short):
 
 
 class SharesItsDraws(Short):
-    scale: ClassVar[dict[str, float]] = {}  # drawn anew in each episode, and kept where all can reach it
+    scale: ClassVar[dict[str, float]] = {}  # drawn in each episode, and shared by all
 
     def spawn(self, rng: np.random.Generator) -> Layout:
         self.scale["reward"] = rng.uniform(1, 2)
@@ -236,13 +236,13 @@ class RefusesWithoutSayingWhy(Short):
     ],
     ids=lambda value: value.__name__ if isinstance(value, type) else "",
 )
-def test_a_broken_task_is_told_which_promise_it_breaks(task: type[Task], promise: str) -> None:
+def test_check_task_names_the_promise_that_a_task_breaks(task: type[Task], promise: str) -> None:
     with pytest.raises(AssertionError, match=f"^short_v0 breaks the promise that .*{promise}"):
         check_task(task)
 
 
 class Broken(TaskParallelEnv):
-    """The sound shell, for others to break one thing in."""
+    """A valid environment; each subclass breaks one promise."""
 
     def __init__(self, task: Task, max_cycles: int | None = None, render_mode: str | None = None) -> None:
         super().__init__(task, max_cycles, render_mode)
@@ -281,7 +281,7 @@ class IgnoresItsSeed(Broken):
 
 
 class ThrowsDiceLater(Broken):
-    """PettingZoo's parallel_seed_test compares one step only."""
+    """PettingZoo's parallel_seed_test compares only one step."""
 
     def breaking(self, result: RETURN) -> RETURN:
         if self.cycle > 5:
@@ -306,7 +306,7 @@ class PaintsInFloats(Broken):
 
 
 class ThinksItIsSlow(Broken):
-    """An agent at full thrust gets to 0.373 m/s; pushed at random it stays below 0.3."""
+    """An agent at full thrust reaches 0.373 m/s; pushed at random it stays below 0.3."""
 
     def __init__(self, task: Task, max_cycles: int | None = None, render_mode: str | None = None) -> None:
         super().__init__(task, max_cycles, render_mode)
@@ -361,12 +361,12 @@ class IsMovedByTheBrush(Broken):
     ],
     ids=lambda value: value.__name__ if isinstance(value, type) else "",
 )
-def test_a_broken_environment_is_told_which_promise_it_breaks(env: type[Broken], promise: str) -> None:
+def test_check_task_names_the_promise_that_an_environment_breaks(env: type[Broken], promise: str) -> None:
     with pytest.raises(AssertionError, match=f"^short_v0 breaks the promise that .*{promise}"):
         check_task(partial(env, Short()))
 
 
-def test_what_is_no_environment_is_told_so() -> None:
+def test_check_task_refuses_what_is_not_an_environment() -> None:
     with pytest.raises(
         AssertionError, match=r"^dict breaks the promise that it can be made and is a Petting"
     ):

@@ -1,4 +1,4 @@
-"""Free flight on arrays is a Space's, to the bit, and contacts are never overlooked."""
+"""Free flight on arrays has the bits of a Space, and contacts are never overlooked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ N_AGENTS, EPISODES = 3, 20
 
 
 def scene(task: Task, seed: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Position, velocity, force and walls of episodes in which agents are anywhere, fast and near."""
+    """Position, velocity, force and walls of episodes with agents anywhere, fast and close together."""
     rng = np.random.default_rng(seed)
     reach = 1.2 * (task.bound or 0.5)
     walls = np.array([task.spawn(rng).walls for _ in range(EPISODES)])
@@ -28,7 +28,7 @@ def scene(task: Task, seed: int) -> tuple[Floats, Floats, Floats, Floats]:
 def in_spaces(
     task: Task, position: Floats, velocity: Floats, force: Floats, walls: Floats
 ) -> tuple[Floats, Floats]:
-    """The same step by Chipmunk, each episode in a Space of its own."""
+    """The same step by Chipmunk, each episode in its own Space."""
     ends = []
     for k in range(len(position)):
         chamber = Chamber(task)
@@ -46,7 +46,7 @@ def pairs(task: Task) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_who_touches_nothing_gets_where_chipmunk_puts_it(name: str) -> None:
+def test_without_contacts_free_flight_equals_chipmunk(name: str) -> None:
     task = make_task(name, N_AGENTS)
     n_free = 0
     for seed in range(10):
@@ -60,8 +60,8 @@ def test_who_touches_nothing_gets_where_chipmunk_puts_it(name: str) -> None:
     assert 10 < n_free < 10 * EPISODES - 10
 
 
-def test_a_flight_by_hand() -> None:
-    """From rest under 0.6 N: the first substep does not move, the second by 0.05 s of 0.03 m/s."""
+def test_a_flight_computed_by_hand() -> None:
+    """From rest under 0.6 N: no movement in the first substep, 0.05 s at 0.03 m/s in the second."""
     path, velocity = fly(np.zeros((1, 1, 2)), np.zeros((1, 1, 2)), np.array([[[0.6, 0.0]]]))
     assert path.shape == (MOVES, 1, 1, 2)
     np.testing.assert_allclose(path[:, 0, 0, 0], [0, 0, 0, 5e-4, 1e-3, 1.5e-3], atol=1e-15)
@@ -95,7 +95,7 @@ def test_the_border_is_touched(x: float, expected: bool) -> None:
 
 @pytest.mark.parametrize(("x", "y", "expected"), [(0.0, 0.0, False), (0.03, 0.0, True), (0.5, 0.2, False)])
 def test_walls_are_touched(x: float, y: float, expected: bool) -> None:
-    """In the middle of a gap at 0 that has 0.018 m of play, out of it, and away from the wall."""
+    """In the middle of a gap at x = 0 with 0.018 m of clearance, outside it, and away from the wall."""
     task = make_task("blind_passage_v0", 1)
     shift = (0.103 + task.wall_size[0]) / 2
     walls = np.array([[[-shift, 0.0], [shift, 0.0]]])
@@ -106,7 +106,7 @@ def test_walls_are_touched(x: float, y: float, expected: bool) -> None:
 @pytest.mark.slow
 @given(seed=st.integers(0, 1_000_000), name=st.sampled_from(list(TASKS)))
 def test_no_contact_is_overlooked(seed: int, name: str) -> None:
-    """Where Chipmunk's step ends elsewhere than free flight, `touching` said so."""
+    """If Chipmunk's step differs from free flight, `touching` is True."""
     task = make_task(name, N_AGENTS)
     position, velocity, force, walls = scene(task, seed)
     path, _ = fly(position, velocity, force)

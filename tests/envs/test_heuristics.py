@@ -1,4 +1,4 @@
-"""The tasks can be solved, and random agents do not solve them."""
+"""Heuristics solve the tasks; random agents do not."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def test_the_heuristic_solves_its_task(name: str, n_agents: int, bar: float) -> 
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_random_agents_do_not(name: str) -> None:
+def test_random_agents_do_not_solve_the_tasks(name: str) -> None:
     rng = np.random.default_rng(0)
     task = make_task(name, 3)
     assert success(task, lambda _, state: rng.uniform(-1, 1, state.position.shape)) < 0.5
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_actions_are_in_range_and_depend_on_the_episode_alone(name: str) -> None:
+def test_actions_are_in_range_and_depend_only_on_the_episode(name: str) -> None:
     task = make_task(name, 3)
     env = VectorEnv(task, 3)
     env.reset([5, 6, 7])
@@ -60,21 +60,21 @@ def test_a_task_without_heuristic_is_refused() -> None:
         heuristic(Other(2), VectorEnv(make_task("blind_navigation_v0", 2)).state)
 
 
-def test_who_goes_second_closes_in_no_faster_than_allowed() -> None:
+def test_the_second_agent_approaches_no_faster_than_allowed() -> None:
     position = np.array([[[0.0, 0.0], [0.5, 0.0]]])
     wanted = np.array([[[0.0, 0.0], [-1.0, 0.0]]])
     see_nobody = np.zeros((1, 2))
     safe = give_way(position, wanted, np.array([[0.0, 1.0]]), clearance=0.3, sight=see_nobody)
     np.testing.assert_allclose(safe[0], [[0.0, 0.0], [-REACTION * 0.2, 0.0]])
     free = give_way(position, wanted, np.array([[1.0, 0.0]]), clearance=0.3, sight=see_nobody)
-    np.testing.assert_allclose(free[0, 1], [-1.0, 0.0])  # first: unhindered, the other backs off
+    np.testing.assert_allclose(free[0, 1], [-1.0, 0.0])  # the first moves freely, the other backs off
     assert free[0, 0, 0] <= -1.0 + REACTION * 0.2 + 1e-12
 
 
 @pytest.mark.parametrize("n_agents", [1, 2, 9])
 @pytest.mark.parametrize("seed", range(5))
-def test_giving_way_is_what_it_is_by_hand_one_partner_after_the_other(n_agents: int, seed: int) -> None:
-    """Crowded enough that most agents pass somebody by and keep off several."""
+def test_giving_way_equals_a_loop_over_partners(n_agents: int, seed: int) -> None:
+    """Crowded enough that most agents pass one partner and avoid several."""
     rng = np.random.default_rng(seed)
     position = rng.uniform(-0.7, 0.7, (3, n_agents, 2))
     wanted = rng.uniform(-0.4, 0.4, position.shape)
@@ -110,8 +110,8 @@ def passed_by(velocity: Floats, to: Floats, clearance: float, reach: float) -> F
     return np.asarray(speed * turned / np.hypot(*turned))
 
 
-def test_the_force_keeps_a_velocity() -> None:
-    """What `force` answers to a velocity already reached leaves it as it is, against the drag."""
+def test_the_force_holds_a_velocity() -> None:
+    """At the wanted velocity, `force` compensates the drag."""
     task = make_task("blind_navigation_v0", 1)
     env = VectorEnv(task)
     env.reset([0])

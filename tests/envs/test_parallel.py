@@ -1,4 +1,4 @@
-"""The PettingZoo face, beside what `check_task` checks of any."""
+"""The PettingZoo environment, beyond what `check_task` checks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ tasks = pytest.mark.parametrize("name", TASKS)
 
 @pytest.fixture(autouse=True)
 def pettingzoo_warnings_are_errors() -> Iterator[None]:
-    """PettingZoo's tests only warn of most faults. Unbounded spaces are meant: the plane is open."""
+    """PettingZoo's tests only warn of most faults. Unbounded spaces are intended: the plane is open."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         warnings.filterwarnings("ignore", message=".*(minimum|maximum).*space value.*infinity.*")
@@ -48,7 +48,7 @@ def test_max_cycles_below_one_are_refused() -> None:
 
 
 @tasks
-def test_agents_see_their_row_and_the_state_is_all_of_them(name: str) -> None:
+def test_agents_observe_their_row_and_the_state_is_all_rows(name: str) -> None:
     env, vector = TaskParallelEnv(make_task(name, 4)), VectorEnv(make_task(name, 4))
     observation, infos = env.reset(seed=5)
     rows = vector.reset([5])[0]
@@ -72,7 +72,7 @@ def test_agents_see_their_row_and_the_state_is_all_of_them(name: str) -> None:
             }
 
 
-def test_info_tells_how_it_stands() -> None:
+def test_infos_report_goals_and_collisions() -> None:
     keys = {}
     for name in TASKS:
         env = TaskParallelEnv(make_task(name))
@@ -97,7 +97,7 @@ def test_truncation_ends_the_episode_and_later_steps_return_nothing() -> None:
     assert env.agents == env.possible_agents
 
 
-def test_seeds_that_are_none_are_refused_and_the_environment_goes_on() -> None:
+def test_invalid_seeds_are_refused_and_the_environment_continues() -> None:
     env = TaskParallelEnv(make_task("blind_navigation_v0"))
     with pytest.raises(ValueError, match="a seed must be a whole number from 0 on, got -1"):
         env.reset(seed=-1)
@@ -107,7 +107,7 @@ def test_seeds_that_are_none_are_refused_and_the_environment_goes_on() -> None:
     assert env.reset(seed=np.int64(3))[0].keys() == set(env.possible_agents)  # type: ignore[arg-type]
 
 
-def test_a_row_of_unseeded_resets_repeats_after_a_seed() -> None:
+def test_unseeded_resets_after_a_seed_repeat() -> None:
     env = TaskParallelEnv(make_task("blind_navigation_v0"))
     rows = []
     for _ in range(2):
@@ -132,7 +132,9 @@ def test_a_row_of_unseeded_resets_repeats_after_a_seed() -> None:
         ),
     ],
 )
-def test_bad_actions_are_refused_and_the_episode_stays_as_it_was(bad: NDArray[Any], sentence: str) -> None:
+def test_invalid_actions_are_refused_and_leave_the_episode_unchanged(
+    bad: NDArray[Any], sentence: str
+) -> None:
     env = TaskParallelEnv(make_task("blind_navigation_v0"))
     env.reset(seed=0)
     before = env.state()
@@ -152,7 +154,7 @@ def test_missing_agents_are_named() -> None:
 
 
 @pytest.mark.parametrize("n_agents", [1, 2, 3])
-def test_actions_of_a_wrong_shape_that_numpy_would_spread_are_refused(n_agents: int) -> None:
+def test_actions_that_numpy_would_broadcast_are_refused(n_agents: int) -> None:
     env = TaskParallelEnv(make_task("blind_navigation_v0", n_agents))
     env.reset(seed=0)
     wrong: list[Any] = [np.zeros(1), np.float64(0.5), np.zeros((1, 2)), np.zeros(n_agents + 2)]

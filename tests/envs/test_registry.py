@@ -1,4 +1,4 @@
-"""The registry is what lies on disk, and the environments stand on their own."""
+"""The registry equals the files on disk, and the environments import nothing of the harness."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import xmarl_envs
 from xmarl_envs import TASKS, Task, TaskParallelEnv, make_task
 
 
-def test_registry_is_the_files_on_disk() -> None:
+def test_the_registry_equals_the_files_on_disk() -> None:
     folder = Path(xmarl_envs.__file__).parent
     assert set(TASKS) == {path.stem for path in folder.glob("blind_*_v*.py")}
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_a_task_is_found_by_one_name(name: str) -> None:
+def test_a_task_has_one_name(name: str) -> None:
     module = importlib.import_module(f"xmarl_envs.{name}")
     task = make_task(name, 4)
     assert (task.name, task.n_agents) == (name, 4)
@@ -41,7 +41,7 @@ def test_a_task_s_docstring_is_its_card(name: str) -> None:
     assert f"after {task.default_max_cycles} cycles" in card
 
 
-def test_unknown_tasks_are_refused_by_naming_the_known() -> None:
+def test_the_error_for_an_unknown_task_lists_the_known_ones() -> None:
     with pytest.raises(
         ValueError, match="unknown task 'blind_chess_v0': choose one of blind_navigation_v0, "
     ):
@@ -49,7 +49,7 @@ def test_unknown_tasks_are_refused_by_naming_the_known() -> None:
 
 
 @pytest.mark.slow
-def test_importing_the_environments_is_quiet_and_brings_neither_torch_nor_pygame() -> None:
+def test_importing_the_environments_prints_nothing_and_imports_neither_torch_nor_pygame() -> None:
     code = f"""
 import importlib, sys
 for name in {["xmarl_envs", *(f"xmarl_envs.{name}" for name in TASKS)]}:

@@ -1,4 +1,4 @@
-"""Pictures: of the right shape, with everybody in them, and without effect on the episode."""
+"""Pictures have the right shape, show every agent, and do not change the episode."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def drawn(
 
 
 def scene_of(*agents: tuple[float, float], track: Floats | None = None, collided: int | None = None) -> Scene:
-    """A team where it is said to be, its goals far up."""
+    """A team at the given positions, with its goals far above."""
     positions = np.array(agents)
     return Scene(
         track=positions[None] if track is None else track,
@@ -62,14 +62,14 @@ def count(frame: Picture, colour: Colour) -> int:
 
 
 def darkness(frame: Picture, x: float, y: float, reach: int = 12) -> float:
-    """How much darker than paper the picture is around a pixel of its world, on average."""
+    """Mean darkness relative to paper around a pixel of the world."""
     column, row = round(x), round(y) + HEADER
     patch = frame[row - reach : row + reach, column - reach : column + reach]
     return float(np.mean(np.array(PAPER) - patch.astype(np.float64)))
 
 
 def at(frame: Picture, colour: Colour) -> tuple[float, float]:
-    """Mean column and row in the world, below the header, of the pixels of a colour."""
+    """Mean column and row, below the header, of the pixels of a colour."""
     rows, columns = np.nonzero((frame[HEADER:] == np.array(colour)).all(axis=-1))
     return float(columns.mean()), float(rows.mean())
 
@@ -77,7 +77,7 @@ def at(frame: Picture, colour: Colour) -> tuple[float, float]:
 @pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("n_agents", [1, 3, 5])
-def test_everybody_is_in_the_picture(name: str, n_agents: int) -> None:
+def test_every_agent_is_in_the_picture(name: str, n_agents: int) -> None:
     env = TaskParallelEnv(make_task(name, n_agents), render_mode="rgb_array")
     env.reset(seed=0)
     frame = rendered(env)
@@ -92,7 +92,7 @@ def test_everybody_is_in_the_picture(name: str, n_agents: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n_agents", [1, 9, 64])
-def test_any_team_is_drawn_in_colours_of_its_own(n_agents: int) -> None:
+def test_agents_of_any_team_have_different_colours(n_agents: int) -> None:
     colours = agent_colours(n_agents)
     assert len(set(colours)) == n_agents
     assert not set(colours) & {PAPER, INK, WALL, FAINT, NEAR}
@@ -121,7 +121,7 @@ XYZ = ((0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.072175), (0.0
 
 
 def lab(colours: list[Colour], blindness: tuple[tuple[float, ...], ...]) -> Floats:
-    """CIE L*a*b* of sRGB colours as they are seen."""
+    """CIE L*a*b* of sRGB colours as perceived with a colour blindness."""
     srgb = np.array(colours) / 255
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     xyz = np.clip(linear @ np.array(blindness).T, 0, 1) @ np.array(XYZ).T / [0.95047, 1.0, 1.08883]
@@ -131,8 +131,8 @@ def lab(colours: list[Colour], blindness: tuple[tuple[float, ...], ...]) -> Floa
 
 @pytest.mark.parametrize(("n_agents", "least"), [(8, 15.0), (16, 6.0)])
 @pytest.mark.parametrize("blindness", BLINDNESS)
-def test_colours_are_told_apart_by_colour_blind_readers(blindness: str, n_agents: int, least: float) -> None:
-    """CIE 1976 differences; 2.3 is just noticeable."""
+def test_colour_blind_readers_can_tell_the_colours_apart(blindness: str, n_agents: int, least: float) -> None:
+    """By CIE 1976 differences, of which 2.3 is just noticeable."""
     seen = lab(agent_colours(n_agents), BLINDNESS[blindness])
     apart = np.linalg.norm(seen[:, None] - seen[None], axis=-1)[np.triu_indices(n_agents, 1)]
     assert apart.min() > least
@@ -162,11 +162,11 @@ def test_goals_are_in_the_colour_of_their_agent() -> None:
         assert (columns.mean() > SIZE / 2) == (i == 0)
 
 
-def test_a_team_that_leaves_the_picture_makes_it_wider() -> None:
+def test_the_picture_widens_if_the_team_leaves_it() -> None:
     task = make_task("blind_navigation_v0", 2)
     frame = drawn(task, scene_of((7.0, 0.0), (0.0, -7.0)))
     assert all(count(frame, colour) > 5 for colour in agent_colours(2))
-    # Where it has been counts as well, so that a picture does not jump back and forth.
+    # Earlier positions count as well, so that the picture does not change back and forth.
     start = scene_of((0.0, 0.0), (0.5, 0.0))
     back = scene_of((0.0, 0.0), (0.5, 0.0), track=np.array([[[0, 3.0], [0.5, 0]], [[0, 0], [0.5, 0]]]))
     blue = agent_colours(2)[1]
@@ -187,7 +187,7 @@ def test_trails_lead_from_where_agents_were() -> None:
     assert np.abs(old - PAPER).sum() < np.abs(new - PAPER).sum()  # it fades
 
 
-def test_who_collides_is_marked() -> None:
+def test_colliding_agents_are_marked() -> None:
     task = make_task("blind_navigation_v0", 2)
     frame = drawn(task, scene_of((-0.5, 0.0), (0.5, 0.0), collided=1))
     assert count(frame, STAR) > 50
@@ -244,7 +244,7 @@ def test_an_explanation_is_arrows_from_sender_to_receiver() -> None:
         disc = 0.5 * SIZE / 2 / 1.16  # from the middle of the picture to the surface of the receiver
         assert disc - 25 < side * tip < disc
         assert abs(rows.mean() - SIZE / 2) < 12
-    # Each on its own side, so that both are seen where both are drawn.
+    # Each on its own side, so that both are visible.
     both = drawn(task, scene, ONE_WAY + ONE_WAY.T)[HEADER:, SIZE // 2 - 50 : SIZE // 2 + 50]
     dark = np.flatnonzero((both == np.array(INK)).all(axis=(1, 2)))
     assert np.diff(dark).max() > 3
@@ -265,7 +265,7 @@ def test_arrows_and_rings_grow_with_the_mask() -> None:
     np.testing.assert_array_equal(ringed, plain)
 
 
-def test_an_explanation_of_a_huddle_is_shown_larger_too() -> None:
+def test_an_explanation_of_a_crowded_team_is_also_shown_magnified() -> None:
     task = make_task("blind_passage_v0", 5)
     huddle = [(x - 0.8, y - 0.8) for x, y in ((0.0, 0.0), (0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1))]
     apart = [(0.4 * k - 0.8, -0.8) for k in range(5)]
@@ -291,7 +291,7 @@ def test_agents_on_one_spot_are_drawn_with_their_explanation() -> None:
         (np.full((2, 2), np.nan), r"must lie in \[0, 1\]"),
     ],
 )
-def test_what_is_no_mask_is_refused(mask: Floats, said: str) -> None:
+def test_an_invalid_mask_is_refused(mask: Floats, said: str) -> None:
     env = TaskParallelEnv(make_task("blind_navigation_v0", 2), render_mode="rgb_array")
     env.reset(seed=0)
     with pytest.raises(ValueError, match=said):
@@ -314,12 +314,12 @@ def played(name: str, mode: str | None, n_agents: int = 3) -> list[NDArray[np.fl
 @pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("render_mode", ["rgb_array", "human"])
-def test_looking_changes_nothing(name: str, render_mode: str) -> None:
+def test_rendering_does_not_change_the_episode(name: str, render_mode: str) -> None:
     np.testing.assert_array_equal(played(name, None), played(name, render_mode))
 
 
-def test_pictures_are_functions_of_the_episode() -> None:
-    """The same episode gives the same pictures whatever was drawn before."""
+def test_pictures_depend_only_on_the_episode() -> None:
+    """The same episode gives the same pictures, whatever was drawn before."""
     env = TaskParallelEnv(make_task("blind_navigation_v0", 3), render_mode="rgb_array")
     env.reset(seed=0)
     first = rendered(env)
@@ -331,7 +331,7 @@ def test_pictures_are_functions_of_the_episode() -> None:
     np.testing.assert_array_equal(first, rendered(env))
 
 
-def test_a_closed_window_stays_closed_and_the_episode_goes_on() -> None:
+def test_a_closed_window_stays_closed_and_the_episode_continues() -> None:
     env = TaskParallelEnv(make_task("blind_navigation_v0", 1), render_mode="human")
     env.reset(seed=0)
     assert pygame.display.get_init()
@@ -343,8 +343,8 @@ def test_a_closed_window_stays_closed_and_the_episode_goes_on() -> None:
 
 
 @pytest.mark.slow
-def test_pictures_need_no_screen_at_all() -> None:
-    """No video driver can be found here, and rgb_array does not ask for one."""
+def test_pictures_need_no_screen() -> None:
+    """No video driver is available here, and rgb_array needs none."""
     code = (
         "from xmarl_envs import TaskParallelEnv, make_task\n"
         "env = TaskParallelEnv(make_task('blind_navigation_v0'), render_mode='rgb_array')\n"
@@ -355,7 +355,7 @@ def test_pictures_need_no_screen_at_all() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, timeout=100, env=environment)
 
 
-def test_unknown_modes_and_none_are_refused() -> None:
+def test_rendering_with_an_unknown_mode_or_without_a_mode_is_refused() -> None:
     with pytest.raises(ValueError, match="render_mode must be one of"):
         TaskParallelEnv(make_task("blind_navigation_v0"), render_mode="ansi")
     with pytest.raises(ValueError, match="nothing to render: make"):
@@ -364,7 +364,7 @@ def test_unknown_modes_and_none_are_refused() -> None:
         TaskParallelEnv(make_task("blind_navigation_v0"), render_mode="rgb_array").render()
 
 
-def test_one_target_is_a_landmark_where_the_task_has_ranges_and_a_goal_where_not() -> None:
+def test_a_target_is_drawn_as_a_landmark_if_the_task_has_ranges_and_as_a_goal_otherwise() -> None:
     """Both tasks have as many targets as agents here."""
     for name, landmark in (("blind_navigation_v0", False), ("blind_discovery_v0", True)):
         task = make_task(name, 1)

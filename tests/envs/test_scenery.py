@@ -1,4 +1,4 @@
-"""What stands around a team is drawn where the task says that it is: walls, borders, landmarks, trails."""
+"""Walls, borders, landmarks and trails are drawn where the task has them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GAP = 0.4  # m, x of the middle of passage's gap
 
 
 def scene(task: Task, track: Floats, targets: Floats, walls: Floats | None = None) -> Scene:
-    """Somebody after a track (cycles, N, 2)."""
+    """A scene at the end of a track (cycles, N, 2)."""
     return Scene(
         track=track,
         targets=targets,
@@ -69,7 +69,7 @@ def test_a_border_is_drawn_where_surfaces_stop(name: str) -> None:
         assert bool((around != np.array(PAPER)).any()) == (task.bound is not None)
 
 
-def test_a_landmark_shows_how_far_it_is_sensed() -> None:
+def test_a_landmark_shows_its_sensing_range() -> None:
     task = make_task("blind_discovery_v0", 1)
     world = drawn(task, scene(task, np.array([[[-0.8, 0.8]]]), np.array([[0.3, -0.4]])))
     rows, columns = np.nonzero((world == np.array(NEAR)).all(axis=-1))
@@ -81,7 +81,7 @@ def test_a_landmark_shows_how_far_it_is_sensed() -> None:
 
 @pytest.mark.parametrize("name", ["blind_navigation_v0", "blind_discovery_v0"])
 def test_a_mirrored_episode_gives_a_mirrored_picture(name: str) -> None:
-    """With trails and targets, to the width of an edge; numbers on discs stay as they are."""
+    """With trails and targets, up to the width of an edge and the numbers on discs."""
     task = make_task(name, 2)
     t = np.linspace(0, 1, 50)[:, None]
     one, two = np.hstack([0.7 - 0.4 * t, t**2 - 0.5]), np.hstack([0.2 * t - 0.6, 0.3 + 0 * t])
@@ -90,9 +90,9 @@ def test_a_mirrored_episode_gives_a_mirrored_picture(name: str) -> None:
     flip = np.array([-1.0, 1.0])
     world, mirrored = (drawn(task, scene(task, track * side, targets * side)) for side in (np.ones(2), flip))
     assert apart(world, mirrored[:, ::-1]) < 0.0025
-    assert apart(world, mirrored) > 0.005  # so the test would see another picture
+    assert apart(world, mirrored) > 0.005  # so another picture would fail
 
 
 def apart(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
-    """The share of pixels of different colours."""
+    """The share of pixels with different colours."""
     return float((np.abs(one.astype(int) - other).max(axis=-1) > 60).mean())

@@ -1,4 +1,4 @@
-"""Episodes that come into Spaces and leave them: nothing is lost, nothing is left behind."""
+"""Episodes that enter and leave shared Spaces lose nothing and leave nothing behind."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ tasks = pytest.mark.parametrize("name", TASKS)
 
 
 def pushing(env: VectorEnv, rng: np.random.Generator) -> Floats:
-    """Actions (B, N, 2) with which a team gathers in one place and jostles there (discovery: in a corner)."""
+    """Actions (B, N, 2) with which a team crowds in one place (discovery: in a corner)."""
     targets = env.state.targets
     crowd = targets.shape[1] == env.task.n_agents
     meeting = targets.mean(axis=1, keepdims=True) if crowd else 2 * np.sign(targets)
     return 2 * (meeting - env.state.position) + rng.uniform(-1, 1, env.state.position.shape)
 
 
-def test_two_discs_that_meet_again_and_again_do_what_they_do_alone() -> None:
-    """With one contact at a time there is no order of contacts to matter: all 32 agree for 200 steps."""
+def test_two_discs_that_meet_repeatedly_move_as_in_their_own_space() -> None:
+    """With one contact at a time the order of contacts cannot matter: all 32 agree for 200 steps."""
     task = make_task("blind_navigation_v0", 2)
     own, shared = VectorEnv(task, 32), VectorEnv(task, 32, copies_per_space=32)
     own.reset(range(32))
@@ -41,8 +41,8 @@ def test_two_discs_that_meet_again_and_again_do_what_they_do_alone() -> None:
 
 
 @pytest.mark.slow
-def test_a_correction_that_is_due_in_the_next_step_is_made() -> None:
-    """Discs turn round as they touch: nothing pushes them in that step, but Chipmunk noted the overlap."""
+def test_an_overlap_correction_due_in_the_next_step_is_made() -> None:
+    """Discs turn round as they touch: nothing pushes them in that step, but Chipmunk stored the overlap."""
     task = make_task("blind_navigation_v0", 2)
     own, shared = World(task, 200), World(task, 200, copies_per_space=64)
     x = task.radius + np.linspace(0.0, 0.01, 200)
@@ -58,8 +58,8 @@ def test_a_correction_that_is_due_in_the_next_step_is_made() -> None:
 
 
 @pytest.mark.parametrize("n_agents", [3, LARGEST_FLYING_TEAM + 1])
-def test_an_episode_knows_nothing_of_the_one_before(n_agents: int) -> None:
-    """Reset in the middle of a scrum, all of 16 copies fly as in Spaces of their own until they touch."""
+def test_an_episode_does_not_depend_on_the_one_before(n_agents: int) -> None:
+    """Reset in a crowd, all 16 copies fly as in their own Spaces until they touch."""
     task = make_task("blind_navigation_v0", n_agents)
     own, shared = VectorEnv(task, 16), VectorEnv(task, 16, copies_per_space=16)
     shared.reset(range(16))
@@ -83,7 +83,7 @@ def test_an_episode_knows_nothing_of_the_one_before(n_agents: int) -> None:
 
 
 @tasks
-def test_the_same_batch_twice(name: str) -> None:
+def test_the_same_batch_repeats_bit_for_bit(name: str) -> None:
     ends = []
     for _ in range(2):
         env = VectorEnv(make_task(name, 4), 20, copies_per_space=20)
@@ -100,8 +100,8 @@ def test_the_same_batch_twice(name: str) -> None:
 @pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("n_agents", [2, 5])
-def test_crowds_stay_apart(name: str, n_agents: int) -> None:
-    """Discs, walls and borders are as solid as in a Space of one's own (0.02 m, test_world.py)."""
+def test_crowded_discs_do_not_overlap(name: str, n_agents: int) -> None:
+    """Discs, walls and borders are as solid as in separate Spaces (0.02 m, test_world.py)."""
     task = make_task(name, n_agents)
     env = VectorEnv(task, 32, copies_per_space=32)
     env.reset(range(32))
@@ -118,7 +118,7 @@ def test_crowds_stay_apart(name: str, n_agents: int) -> None:
     assert n_contacts > 500
 
 
-def test_slots_are_used_again() -> None:
+def test_slots_are_reused() -> None:
     task = make_task("blind_passage_v0", 5)
     env = VectorEnv(task, 32, copies_per_space=8)
     spaces = env.world._spaces
@@ -132,7 +132,7 @@ def test_slots_are_used_again() -> None:
     assert spaces._occupant.size <= 2 * 32
 
 
-def test_who_touches_nobody_is_in_no_space() -> None:
+def test_episodes_without_contacts_are_in_no_space() -> None:
     env = VectorEnv(make_task("blind_navigation_v0", 3), 32, copies_per_space=8)
     env.reset(range(32))
     env.step(np.zeros((32, 3, 2)))
@@ -142,7 +142,7 @@ def test_who_touches_nobody_is_in_no_space() -> None:
 
 @tasks
 def test_writing_a_batch_moves_no_border(name: str) -> None:
-    """pymunk.batch sets Space.static_body too, after all others, from whatever the buffer holds there."""
+    """pymunk.batch also sets Space.static_body, after all others, from the end of the buffer."""
     task = make_task(name, 2)
     chamber = Chamber(task, 3)
     chamber.agents[..., 2:] = 1.0
@@ -157,8 +157,8 @@ def test_writing_a_batch_moves_no_border(name: str) -> None:
 
 @tasks
 @pytest.mark.parametrize("n_slots", [1, 3, 17])
-def test_a_chamber_shows_where_its_bodies_are(name: str, n_slots: int) -> None:
-    """It reads memory of pymunk's through one view, made at the beginning: also in a later Space."""
+def test_a_chamber_s_views_show_its_bodies(name: str, n_slots: int) -> None:
+    """The view of pymunk's memory, created once, stays valid for later Spaces."""
     task = make_task(name, 5)
     chamber = Chamber(task, n_slots)
     rng = np.random.default_rng(0)
@@ -173,8 +173,8 @@ def test_a_chamber_shows_where_its_bodies_are(name: str, n_slots: int) -> None:
         assert [tuple(disc.velocity) for disc in discs] == [tuple(v) for v in chamber.velocity.reshape(-1, 2)]
 
 
-def test_episodes_that_begin_again_and_again_take_no_more_memory() -> None:
-    """pymunk never frees a batch's Buffer: a new one for each episode would add 0.6 kB every time."""
+def test_memory_does_not_grow_with_the_number_of_episodes() -> None:
+    """pymunk never frees a batch's Buffer: one per episode would leak 0.6 kB each."""
     env = VectorEnv(make_task("blind_navigation_v0", 3))
     env.reset([0])
     chambers = env.world._spaces

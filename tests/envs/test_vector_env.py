@@ -1,4 +1,4 @@
-"""The batch: shapes, seeds, episodes reset one by one, and copies that share a Space."""
+"""The batch: shapes, seeds, single resets, and copies that share a Space."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_shapes_and_types(name: str) -> None:
 @tasks
 @pytest.mark.parametrize("copies", [8, 64])
 def test_copies_in_one_space_agree_with_spaces_of_their_own(name: str, copies: int) -> None:
-    """To 1e-9 for as long as nobody has touched anybody; the episodes touch at different times."""
+    """To 1e-9 until the first contact, which comes at different times in the episodes."""
     task = make_task(name, 3)
     own, shared = VectorEnv(task, 64), VectorEnv(task, 64, copies_per_space=copies)
     own.reset(range(64))
@@ -56,7 +56,7 @@ def test_copies_in_one_space_agree_with_spaces_of_their_own(name: str, copies: i
 
 
 @tasks
-def test_resetting_one_copy_leaves_its_neighbours_alone(name: str) -> None:
+def test_resetting_one_copy_does_not_change_the_others(name: str) -> None:
     envs = [VectorEnv(make_task(name, 3), 8, copies_per_space=8) for _ in range(2)]
     for env in envs:
         env.reset(range(8))
@@ -74,7 +74,7 @@ def test_resetting_one_copy_leaves_its_neighbours_alone(name: str) -> None:
     np.testing.assert_allclose(envs[0].observe()[2], start[0], rtol=0, atol=1e-6)
 
 
-def test_episodes_that_are_over_may_stand_still() -> None:
+def test_episodes_that_are_not_live_may_stand_still() -> None:
     env = VectorEnv(make_task("blind_navigation_v0", 3), 2)
     env.reset([0, 1])
     before = env.state.position.copy()
@@ -84,7 +84,7 @@ def test_episodes_that_are_over_may_stand_still() -> None:
     np.testing.assert_array_equal(env.state.position[1], before[1])
 
 
-def test_truncation_is_not_told_of_a_team_that_is_done() -> None:
+def test_a_terminated_team_is_not_truncated() -> None:
     env = VectorEnv(make_task("blind_navigation_v0", 3), 2, max_cycles=1)
     env.reset([0, 1])
     env.world.place(np.array([0]), env.state.targets[:1], np.zeros((1, 0, 2)))
@@ -93,7 +93,7 @@ def test_truncation_is_not_told_of_a_team_that_is_done() -> None:
     assert step.truncated.tolist() == [False, True]
 
 
-def test_actions_beyond_the_box_count_as_its_border() -> None:
+def test_actions_outside_the_box_are_clipped() -> None:
     positions = []
     for thrust in (1.0, 5.0):
         env = VectorEnv(make_task("blind_navigation_v0", 3))
@@ -119,14 +119,14 @@ def test_actions_beyond_the_box_count_as_its_border() -> None:
         ),
     ],
 )
-def test_bad_actions_are_refused(action: NDArray[np.float64], sentence: str) -> None:
+def test_invalid_actions_are_refused(action: NDArray[np.float64], sentence: str) -> None:
     env = VectorEnv(make_task("blind_navigation_v0", 3), 2)
     env.reset([0, 1])
     with pytest.raises(ValueError, match=sentence):
         env.step(action)
 
 
-def test_seeds_are_counted() -> None:
+def test_a_wrong_number_of_seeds_is_refused() -> None:
     env = VectorEnv(make_task("blind_navigation_v0", 3), 3)
     with pytest.raises(ValueError, match="each episode needs one seed: got 2 seeds for 3 episodes"):
         env.reset([0, 1])

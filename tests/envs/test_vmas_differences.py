@@ -1,4 +1,4 @@
-"""Where our tasks differ from VMAS on purpose, each beside VMAS itself; envs/README.md says why."""
+"""Intended differences between our tasks and VMAS, each compared with VMAS; envs/README.md says why."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NO_WALLS = np.zeros((1, 0, 2))
 
 
 def judged(name: str, position: Floats, targets: Floats, walls: Floats) -> tuple[Floats, Floats, bool, bool]:
-    """Reward (N,) and done of standing still somewhere: ours, VMAS's."""
+    """Reward (N,) and done for standing still at some positions: ours, VMAS's."""
     task = make_task(name, position.shape[1])
     state = State(position, np.zeros_like(position), targets, walls)
     apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1) + 9 * np.eye(task.n_agents)
@@ -28,8 +28,8 @@ def judged(name: str, position: Floats, targets: Floats, walls: Floats) -> tuple
 
 
 @pytest.mark.parametrize(("distance", "theirs"), [(0.04, 0.01), (0.07, 0.0)])
-def test_navigation_pays_the_bonus_where_the_episode_ends(distance: float, theirs: float) -> None:
-    """VMAS ends it at 0.1 m and pays at 0.05 m: the radius of a goal it forgot to set."""
+def test_navigation_pays_the_bonus_when_the_episode_ends(distance: float, theirs: float) -> None:
+    """VMAS ends it at 0.1 m and pays at 0.05 m, the default radius of its goals."""
     goals = row([-0.5, 0.0], [0.5, 0.0])
     ours, vmas, ours_done, vmas_done = judged(
         "blind_navigation_v0", goals + np.array([distance, 0.0]), goals, NO_WALLS
@@ -40,8 +40,8 @@ def test_navigation_pays_the_bonus_where_the_episode_ends(distance: float, their
     np.testing.assert_allclose(vmas, [theirs, theirs], atol=1e-6)
 
 
-def test_navigation_punishes_a_near_miss_whatever_happens_in_other_episodes() -> None:
-    """VMAS asks first whether that pair overlaps in any environment of the batch."""
+def test_navigation_punishes_a_near_miss_independently_of_other_episodes() -> None:
+    """VMAS does so only if that pair overlaps in some environment of the batch."""
     near, far = row([0.0, 0.0], [0.203, 0.0])[0], row([0.0, 0.0], [0.9, 0.0])[0]
     overlap = row([0.0, 0.0], [0.19, 0.0])[0]
     for other, theirs in ((far, 0.0), (overlap, -1.0)):
@@ -53,7 +53,7 @@ def test_navigation_punishes_a_near_miss_whatever_happens_in_other_episodes() ->
 
 
 def crowd(*first: list[float]) -> Floats:
-    """Five agents of passage: those given, and the others far from everything."""
+    """Five agents of passage: the given ones, and the others far away."""
     rest = [[-0.9 + 0.3 * k, -0.9] for k in range(5 - len(first))]
     return row(*first, *rest)
 
@@ -75,12 +75,12 @@ def test_passage_counts_touching_where_vmas_counts_overlap_of_agents_and_nearnes
     slot_middle = gap_x + 2 * 0.103
     assert reward([slot_middle, below - 0.0005]) == (-10.0, -10.0)
     assert reward([slot_middle, below - 0.005]) == (0.0, -10.0)
-    between = slot_middle + 0.103 / 2  # VMAS's wall is made of 19 boxes: two are near
+    between = slot_middle + 0.103 / 2  # VMAS's wall consists of 19 boxes, of which two are near
     assert reward([between, below - 0.0005]) == (-10.0, -20.0)
 
 
 def test_passage_draws_gap_and_slots_for_every_episode() -> None:
-    """VMAS draws them once for all environments that are reset together."""
+    """VMAS draws them once for all environments that reset together."""
     twin, env = VmasTwin("blind_passage_v0", 5, 8), VectorEnv(make_task("blind_passage_v0", 5), 8)
     env.reset(range(8))
     for gap, position, one_for_all in (
@@ -92,7 +92,7 @@ def test_passage_draws_gap_and_slots_for_every_episode() -> None:
             assert (len(np.unique(drawn.round(4), axis=0)) == 1) == one_for_all
 
 
-def test_discovery_pays_one_to_all_where_vmas_pays_half_per_agent_that_covers() -> None:
+def test_discovery_pays_one_to_all_and_vmas_half_per_covering_agent() -> None:
     landmark = row([0.0, 0.0])
     for covering, theirs in ((2, 1.0), (3, 1.5)):
         agents = row(*[[0.2 * np.cos(a), 0.2 * np.sin(a)] for a in (0.0, 2.0, 4.0)])
@@ -105,7 +105,7 @@ def test_discovery_pays_one_to_all_where_vmas_pays_half_per_agent_that_covers() 
 
 
 def test_discovery_lets_agents_onto_the_landmark_and_stops_them_at_the_border() -> None:
-    """VMAS's landmark is solid, and its border leaves agents the velocity they came with."""
+    """VMAS's landmark is solid, and agents keep their velocity at its border."""
     env, twin = VectorEnv(make_task("blind_discovery_v0", 1)), VmasTwin("blind_discovery_v0", 1, 1)
     env.reset([0])
     start = State(row([-0.5, 0.0]), np.zeros((1, 1, 2)), row([0.0, 0.0]), NO_WALLS)

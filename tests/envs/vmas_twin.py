@@ -1,7 +1,6 @@
-"""VMAS's navigation, passage and discovery beside ours: same start, same actions, its own rewards.
+"""VMAS's navigation, passage and discovery with the same start and actions as ours, and its own rewards.
 
-What is taken away or switched off is said here and nowhere else: the lidar (blind agents have none), and
-all of discovery's targets but one, which does not come back.
+Changed are only: no lidar (blind agents have none), and discovery has one target, which does not come back.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ class _Discovery(discovery.Scenario):  # type: ignore[misc]
 
 
 class VmasTwin:
-    """B episodes of one scenario of VMAS. Arrays are laid out as ours: (B, N, 2)."""
+    """B episodes of one scenario of VMAS. Arrays have the same layout as ours: (B, N, 2)."""
 
     def __init__(self, name: str, n_agents: int, n_episodes: int, *, seed: int = 0) -> None:
         self.name = name
@@ -44,7 +43,7 @@ class VmasTwin:
             ),
         }[name]
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # gym's and torch's, about themselves
+            warnings.simplefilter("ignore")  # warnings of gym and torch
             self.env = vmas.make_env(scenario(), n_episodes, seed=seed, continuous_actions=True, **options)
         self.world, self.agents = self.env.world, self.env.agents
         assert len(self.agents) == n_agents
@@ -70,7 +69,7 @@ class VmasTwin:
         return np.asarray(removed.state.pos.double().numpy())
 
     def place(self, state: State) -> None:
-        """Put everybody where ours are, at rest, and begin the count of rewards there."""
+        """Put all agents at rest where ours are, and start counting rewards there."""
         self.move(state.position)
         for agent in self.agents:
             agent.set_vel(torch.zeros(self.env.num_envs, 2), batch_index=None)
@@ -104,13 +103,14 @@ class VmasTwin:
         return _stack(observation), _stack(reward), np.asarray(done.numpy())
 
     def judge(self) -> tuple[Floats, NDArray[np.bool_]]:
-        """Rewards (B, N) and done (B,) where everybody is now."""
+        """Rewards (B, N) and done (B,) at the current positions."""
         reward = _stack(self.env.scenario.reward(agent).clone() for agent in self.agents)
         return reward, np.asarray(self.env.scenario.done().numpy())
 
     def use_our_order(self) -> None:
-        """Integrate as Chipmunk does: move by the old velocity, then change it, in two substeps that share
-        the drag. VMAS changes the velocity first, and all drag acts in its first substep, of one or two.
+        """Integrate like Chipmunk: move by the old velocity, then update it, with drag in both substeps.
+
+        VMAS updates the velocity first, and all drag acts in the first of its one or two substeps.
         """
         world = self.world
         world._substeps, world._sub_dt = 2, world._dt / 2

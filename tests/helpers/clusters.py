@@ -1,4 +1,4 @@
-"""Clusters on loopback for tests: a head and two workers in processes of their own, none of which is left."""
+"""Clusters on loopback for tests: a head and two workers in their own processes, all ended afterwards."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ from pathlib import Path
 import psutil
 
 ROOT = Path(__file__).parents[2]
-SECONDS = 60.0  # for a cluster to be up, on a busy machine
+SECONDS = 60.0  # for a cluster to start, on a busy machine
 
 
 @contextmanager
 def ray_cluster() -> Iterator[str]:
-    """Yields the address of a head with two cores, on which Ray starts two workers. It takes work only from
-    those who have a token of this process (see conftest.py): it listens on every network of the machine."""
+    """Yields the address of a head with two cores, on which Ray starts two workers.
+
+    It listens on every network interface, and takes work only with the token of this process (see
+    conftest.py).
+    """
     port = free_port()
-    # Not pytest's folder: the paths of Ray's sockets may have 107 characters.
+    # Not pytest's folder: paths of Ray's sockets may have at most 107 characters.
     with tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True) as folder:
         head = start(
             "ray.scripts.scripts", "start", "--head", "--block", f"--port={port}", "--num-cpus=2",
@@ -39,7 +42,7 @@ def ray_cluster() -> Iterator[str]:
 
 @contextmanager
 def dask_cluster(*options: str) -> Iterator[str]:
-    """Yields the address of a scheduler with two workers, each one thread in a process and a nanny around."""
+    """Yields the address of a scheduler with two workers, each a process with one thread and a nanny."""
     from distributed import Client
 
     port = free_port()
@@ -73,7 +76,7 @@ def free_port() -> int:
 
 
 def start(module: str, *arguments: str) -> subprocess.Popen[bytes]:
-    """A module as a program; its processes import the tests."""
+    """Start a module as a program whose processes can import the tests."""
     paths = [str(ROOT), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
     return subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
@@ -95,7 +98,7 @@ def wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
-    """End a program and all that it started."""
+    """End a program and all processes that it started."""
     family = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
     process.terminate()
     _, alive = psutil.wait_procs(family, timeout=3)

@@ -1,4 +1,4 @@
-"""Policies beyond the fast path: other layers, several of them, several heads; random weights."""
+"""Policies outside the fast path: other or several layers, several heads; random weights."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Stack(nn.Module):
 
 
 class Opened(nn.Module):
-    """A GraphPolicy's own modules, run by PyG's message passing."""
+    """A GraphPolicy's modules, run by PyG's message passing."""
 
     def __init__(self, policy: GraphPolicy) -> None:
         super().__init__()
@@ -75,5 +75,5 @@ def with_a_lonely_timestep() -> tuple[ModulePolicy, Tensor, Tensor]:
     policy, graph = one_layer(6), RadiusGraph(radius=1.5, loops=False)
     policy.graph = graph
     observations = random_observations(4, 3, 6)
-    observations[1] += 100.0 * torch.arange(3)[:, None]  # far from one another
+    observations[1] += 100.0 * torch.arange(3)[:, None]  # agents far from one another
     return policy, observations, graph.adjacency(observations)

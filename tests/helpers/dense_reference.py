@@ -1,4 +1,4 @@
-"""The policy written out edge by edge in float64, from the formulas and from no code of the benchmark.
+"""The policy written out edge by edge in float64 from its formulas, without code of the benchmark.
 
 GATv2 (Brody et al., ICLR 2022): e_ij = a . LeakyReLU(W_l x_j + W_r x_i), alpha_i = softmax_j e_ij;
 h_i = sum_j m_ij alpha_ij W_l x_j + R x_i + b, where R is 0 without a residual.

@@ -1,4 +1,4 @@
-"""Explainers that misbehave, as a third party's plugin might."""
+"""Explainers that misbehave like faulty third-party plugins."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _constant(value: float) -> Explain:
 
 def _late_nan(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     mask = torch.ones(len(observations), observations.shape[1], observations.shape[1])
-    mask[1:] = torch.nan  # the first timestep is in order
+    mask[1:] = torch.nan  # the first timestep is valid
     return mask
 
 
@@ -40,7 +40,7 @@ def _crash(policy: Policy, observations: Tensor, generator: torch.Generator) -> 
 
 
 def _vandal(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-    """Works, but ruins everything it is given and every global state it can reach."""
+    """Returns a valid mask, but changes all its arguments and every global state it can reach."""
     with torch.no_grad():
         for parameter in policy.parameters():
             parameter.zero_()

@@ -1,4 +1,4 @@
-"""Command lines in forks of one process that has imported everything (see zygote.py)."""
+"""Runs command lines in forks of one process that has imported everything (see zygote.py)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Ask = Callable[[Request], Answer]
 
 @contextmanager
 def forks(python: Path | str = sys.executable) -> Iterator[Ask]:
-    """ask(request) -> what became of it; in the environment of that Python."""
+    """Yields ask(request) -> answer, which runs in the environment of that Python."""
     with subprocess.Popen(
         [str(python), "-P", str(ZYGOTE)],
         stdin=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""A fresh environment that sees the packages of this one, so that plugins are really installed, quickly."""
+"""A fresh environment that also sees the packages of this one, so that installing plugins is quick."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Environment:
-    """A virtual environment of its own, whose packages are found before those of this one."""
+    """A virtual environment whose packages are found before those of this one."""
 
     folder: Path
 
@@ -20,7 +20,7 @@ class Environment:
         ours = sysconfig.get_paths()["purelib"]
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True, timeout=120)
         (site,) = folder.glob("lib/python*/site-packages")
-        # A line of code, so that the .pth files of this environment count too: the project's own is one.
+        # A line of code, so that .pth files of this environment work too, such as the project's own.
         (site / "beside.pth").write_text(f"import site; site.addsitedir({ours!r})\n")
         return cls(folder)
 
@@ -29,7 +29,7 @@ class Environment:
         return self.folder / "bin" / "python"
 
     def install(self, *packages: Path, target: Path | None = None) -> None:
-        """Build and install, out of the network; into a folder beside the environment, where one is given."""
+        """Build and install without network, into `target` if given."""
         pip = (sys.executable, "-m", "pip", "--python", str(self.python), "install", "--quiet")
         options = ("--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check")
         where = () if target is None else ("--target", str(target))

@@ -1,4 +1,4 @@
-"""A disk that is full, for this process and for every single file."""
+"""A full disk, simulated by a limit on the size of each file of this process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def files_of_at_most(size: int) -> Iterator[None]:
-    """As on a disk with so many bytes left."""
+    """Writes beyond `size` bytes fail."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))

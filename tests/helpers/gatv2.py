@@ -1,4 +1,4 @@
-"""One GATv2 layer as a policy's network, and the same written out over all pairs of agents.
+"""One GATv2 layer as a policy's network, and the same computed over all pairs of agents.
 
 GATv2 (Brody et al., ICLR 2022) with edge features: e_ij = a . LeakyReLU(W_l x_j + W_r x_i + W_e f_ij),
 alpha_i = softmax_j e_ij over the senders of i; h_i = sum_j m_ij alpha_ij W_l x_j + b.
@@ -16,7 +16,7 @@ Rewire = Callable[[Tensor, int], Tensor]  # edge_index, number of rows -> the ed
 
 
 class OneLayer(nn.Module):
-    """forward(x (n, 6), edge_index) -> (n, 4): a linear map of the agent itself, and one head of GATv2."""
+    """forward(x (n, 6), edge_index) -> (n, 4): a linear map of the agent itself, plus one head of GATv2."""
 
     def __init__(
         self, rewire: Rewire | None = None, *, relative: bool = False, seed: int = 0, **options: object

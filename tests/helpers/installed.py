@@ -1,4 +1,4 @@
-"""Bundles as if a package had registered them."""
+"""Registers bundles as if a package had registered them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def installed() -> dict[str, Path]:
 
 
 def install(monkeypatch: pytest.MonkeyPatch, **bundles: Path) -> None:
-    """These policies, and no explainers but the controls."""
+    """Makes these the only registered policies, and the controls the only explainers."""
     point = EntryPoint("installed", "tests.helpers.installed:installed", registry.POLICIES)
     for name, bundle in bundles.items():
         monkeypatch.setitem(INSTALLED, name, bundle)

@@ -1,4 +1,4 @@
-"""Entries whose numbers are drawn, not measured: as many as a board's test needs, in milliseconds each."""
+"""Entries with random numbers instead of measurements, in milliseconds each, for tests of the board."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def made_entry(
     submitter: str | None = None,
     **constant: float | None,
 ) -> Entry:
-    """Metrics of an episode are `level`, up to 0.1 off and in [0, 1]; `constant` names those that are not.
+    """Metrics of an episode are within 0.1 of `level`, in [0, 1]; those in `constant` have a fixed value.
 
-    The draws depend on the names alone; budgets rise from 0 to `level`, between 0 and 1.
+    The draws depend only on the names; budgets rise from 0 to `level`, between 0 and 1.
     """
     rng = np.random.default_rng(derived_seed("made", policy, explainer, task, n_agents))
     seeds = episode_seeds(0, episodes)
@@ -93,7 +93,7 @@ def made_entry(
 
 
 def made_board(policies: Sequence[str], explainers: dict[str, float]) -> Iterator[Entry]:
-    """Every explainer, with its level, on every policy; every second policy is a regularised one."""
+    """Every explainer, with its level, on every policy; every second policy is regularised."""
     for k, policy in enumerate(policies):
         for explainer, level in explainers.items():
             yield made_entry(policy, explainer, level, n_agents=3 + k % 3, attention_entropy=0.5 * (k % 2))

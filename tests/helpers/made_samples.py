@@ -1,4 +1,4 @@
-"""Samples whose numbers are drawn: what a study would have of three training runs in every cell."""
+"""Samples with random numbers, as of a study of three training runs per cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small policies with random weights: nothing here needs a trained checkpoint."""
+"""Small policies with random weights, for tests without trained checkpoints."""
 
 from __future__ import annotations
 

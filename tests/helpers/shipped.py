@@ -1,4 +1,4 @@
-"""The explainers that pyproject.toml registers, however old the installation is that runs the tests."""
+"""The explainers that pyproject.toml registers, even if the installation that runs the tests is older."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What tests hand to workers: functions that a worker process imports, some of which fail."""
+"""Functions that tests run in workers, some of which fail."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def process(number: int) -> int:
 
 
 def process_beside_another(folder: str) -> int:
-    """This process, once another one has come to the folder too: however slowly it starts."""
+    """Waits until another process uses the folder too; returns the id of this one."""
     (Path(folder) / str(os.getpid())).touch()
     until = time.monotonic() + 120
     while len(list(Path(folder).iterdir())) < 2:
@@ -53,7 +53,7 @@ def threads(number: int) -> dict[str, str | None]:
 
 
 class AwkwardError(Exception):
-    """Can be pickled, and not be loaded again."""
+    """Can be pickled but not unpickled."""
 
     def __init__(self, first: str, second: str) -> None:
         super().__init__(first)
@@ -82,7 +82,7 @@ class Unloadable:
 
 
 def kill_worker(number: int) -> int:
-    """Every 5th unit kills whoever computes it."""
+    """Every 5th unit kills its worker."""
     time.sleep(0.02)
     if number % 5 == 3:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -90,7 +90,7 @@ def kill_worker(number: int) -> int:
 
 
 def kill_worker_once(unit: tuple[Rollout, Path | None]) -> list[Episode]:
-    """A real piece of scoring; the worker dies the first time where a file is named."""
+    """A real piece of scoring; if a file is named, the worker dies at the first attempt."""
     rollout, mark = unit
     if mark is not None and not mark.exists():
         mark.touch()
@@ -99,7 +99,7 @@ def kill_worker_once(unit: tuple[Rollout, Path | None]) -> list[Episode]:
 
 
 def square_behind(unit: tuple[int, Path]) -> int:
-    """All numbers but 0 wait for the file to be there."""
+    """All numbers except 0 wait until the file exists."""
     number, gate = unit
     until = time.monotonic() + 120
     while number and not gate.exists():
@@ -114,20 +114,20 @@ def square_and_process(number: int) -> tuple[int, int]:
 
 
 def hold(fifo: str) -> None:
-    """Writes this process's id to the pipe named, a line, and holds it open until the process ends."""
+    """Writes this process's id as a line to a named pipe, which stays open until the process ends."""
     pipe = os.open(fifo, os.O_WRONLY)
     os.write(pipe, b"%d\n" % os.getpid())
     signal.pause()
 
 
 def started_and_ended(number: int) -> tuple[float, float]:
-    started = time.monotonic()  # one clock for all processes of a machine
+    started = time.monotonic()  # the same clock for all processes of a machine
     time.sleep(0.05)
     return started, time.monotonic()
 
 
 def some_rollouts() -> list[Rollout]:
-    """Six pieces of real work by a small policy of random weights."""
+    """Six rollouts of a small policy with random weights."""
     from xmarl_envs import TASKS
 
     from tests.helpers.policies import small_policy
@@ -151,7 +151,7 @@ def twenty_kilobytes(number: int) -> bytes:
 
 
 def memory(units: tuple[Unit, ...]) -> int:
-    """Bytes that this process holds after scoring."""
+    """Resident memory in bytes of this process after scoring."""
     import psutil
 
     for unit in units:
@@ -160,7 +160,7 @@ def memory(units: tuple[Unit, ...]) -> int:
 
 
 def entries(bundle: Path, workers: Workers) -> list[str]:
-    """What scoring makes, without times and machine: by attention, and by one that draws random numbers."""
+    """Entries without times and machine, of attention and of an explainer that draws random numbers."""
     from xmarl_bench.entry.schema import Entry
     from xmarl_bench.plugins.registry import find_explainer
     from xmarl_bench.policy import load_policy

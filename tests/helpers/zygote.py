@@ -1,8 +1,8 @@
-"""Runs command lines in forks of one process that has imported everything: 0.1 s each, not 5.
+"""Runs command lines in forks of one process that has imported everything: 0.1 s each instead of 5 s.
 
     python -P tests/helpers/zygote.py
 
-reads a `Request` as a JSON object a line, and writes an `Answer` for each.
+reads a `Request` as one JSON object per line, and writes an `Answer` for each.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Answer(TypedDict):
 
 
 def child(request: Request, out: IO[bytes], err: IO[bytes], log: IO[bytes]) -> NoReturn:
-    """Ends as a program does, with all that it has started: SystemExit goes through."""
+    """Run the command in this fork and exit like a program: SystemExit propagates."""
     os.dup2(out.fileno(), 1)
     os.dup2(err.fileno(), 2)
     os.chdir(request.get("folder", "."))
@@ -53,8 +53,11 @@ def child(request: Request, out: IO[bytes], err: IO[bytes], log: IO[bytes]) -> N
 
 
 def watch(request: Request, log: IO[bytes]) -> None:
-    """Log each access of this process to the folder as a dot, and kill the victim, once, at the access asked
-    for: `K`. A worker is killed at a later one if there is none yet."""
+    """Log each access of this process to the folder as a dot, and kill the victim once, at the requested
+    access.
+
+    The kill is logged as `K`. A worker is killed at a later access if there is none yet.
+    """
     process, touches, killed = os.getpid(), 0, False
 
     def seen(event: str, arguments: tuple[object, ...]) -> None:

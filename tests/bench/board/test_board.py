@@ -1,4 +1,4 @@
-"""The board: what stands in one table, what is ranked, and what the files say."""
+"""The board: its tables, which policies are ranked, and its files."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def entries(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
 
 
 def passed(entry: Entry, **means: float) -> Entry:
-    """The entry with other means; by default with those of a policy that passes the gate."""
+    """The entry with other means; by default those of a policy that passes the gate."""
     (cell,) = entry.results
     good = {"success_rate": 0.9, "success_gain": 0.5, "reward_gain": 0.5}
     changed = {name: {"value": mean, "interval": (mean, mean)} for name, mean in {**good, **means}.items()}
@@ -76,12 +76,12 @@ def test_only_identical_protocols_share_a_table(entries: list[Entry]) -> None:
             assert [row["rank"] for row in rows if not row["control"]] == [1]
             assert {row["rank"] for row in rows if row["control"]} == {None}
             assert sorted(row["explainer"] for row in rows) == sorted([*CONTROLS, NEAREST, "attention"])
-            # A control that was scored by itself stands there as that entry, the others as carried along.
+            # A control scored by itself is shown as its own entry, the others as part of another one.
             assert {row["explainer"] for row in rows if row["entry_id"]} == {"random", "attention"}
     assert board["order"]["by"] == "message_fidelity"
 
 
-def test_policies_that_fail_or_do_not_listen_are_marked_not_ranked(entries: list[Entry]) -> None:
+def test_policies_that_fail_or_whose_messages_do_not_help_are_not_ranked(entries: list[Entry]) -> None:
     entry = next(each for each in entries if each.explainer.name == "attention")
     for means, said in (
         ({"success_rate": 0.49}, "success rate 0.490, under 0.5"),
@@ -100,7 +100,7 @@ def test_policies_that_fail_or_do_not_listen_are_marked_not_ranked(entries: list
         assert row["rank"] == (1 if said is None else None)
 
 
-def test_bytes_depend_on_the_entries_alone(tmp_path: Path, entries: list[Entry]) -> None:
+def test_bytes_depend_only_on_the_entries(tmp_path: Path, entries: list[Entry]) -> None:
     for name, listed in (("one", entries), ("two", entries[::-1])):
         for entry in listed:
             write_entry(tmp_path / name / "entries", entry)
@@ -121,7 +121,7 @@ def files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
-def test_the_page_refers_to_files_of_its_own_alone(tmp_path: Path, entries: list[Entry]) -> None:
+def test_the_page_refers_only_to_its_own_files(tmp_path: Path, entries: list[Entry]) -> None:
     for entry in entries:
         write_entry(tmp_path / "entries", entry)
     build_board(tmp_path)
@@ -137,7 +137,7 @@ def test_the_page_refers_to_files_of_its_own_alone(tmp_path: Path, entries: list
     assert sum(path.stat().st_size for path in used) < 3_000_000
 
 
-def test_a_submitter_cannot_leave_the_text_he_is_in(tmp_path: Path, entries: list[Entry]) -> None:
+def test_submitted_text_cannot_inject_markup(tmp_path: Path, entries: list[Entry]) -> None:
     hostile = make_entry(
         **{name: getattr(entries[0], name) for name in Entry.model_fields if name != "entry_id"}
         | {"submitter": "</script><script>x</script>"}
@@ -149,7 +149,7 @@ def test_a_submitter_cannot_leave_the_text_he_is_in(tmp_path: Path, entries: lis
             assert "<script>x" not in path.read_text()
 
 
-def test_no_entries_is_an_empty_board(tmp_path: Path) -> None:
+def test_no_entries_give_an_empty_board(tmp_path: Path) -> None:
     board = json.loads(build_board(tmp_path).read_text())
     assert board["tables"] == []
     assert "No entries yet" in (tmp_path / "index.html").read_text()

@@ -1,4 +1,4 @@
-"""Building, checking and serving a board; a build that is killed."""
+"""Building, checking and serving a board; killed builds."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_check_says_what_is_stale(board: Path, run_cli: RunCli) -> None:
+def test_check_names_stale_files(board: Path, run_cli: RunCli) -> None:
     assert run_cli("board", "check", board).code == 0
     for name in ("leaderboard.json", "leaderboard.csv", "index.html", "entry.html"):
         whole = (board / name).read_bytes()
@@ -60,7 +60,7 @@ def test_check_says_what_is_stale(board: Path, run_cli: RunCli) -> None:
 
 
 @pytest.mark.slow
-def test_check_sees_a_new_an_old_and_a_changed_entry(board: Path, run_cli: RunCli) -> None:
+def test_check_finds_new_removed_and_changed_entries(board: Path, run_cli: RunCli) -> None:
     path = write_entry(board / "entries", made_entry("p0", "c", 0.3))
     assert run_cli("board", "check", board).code == 1
     build_board(board)
@@ -74,7 +74,7 @@ def test_check_sees_a_new_an_old_and_a_changed_entry(board: Path, run_cli: RunCl
 
 
 @pytest.mark.parametrize("command", ["build", "check", "serve"])
-def test_there_must_be_a_board(tmp_path: Path, run_cli: RunCli, command: str) -> None:
+def test_commands_refuse_a_folder_without_a_board(tmp_path: Path, run_cli: RunCli, command: str) -> None:
     ran = run_cli("board", command, tmp_path / "nothing")
     assert ran.code == 2
     assert len(ran.err.splitlines()) == 1
@@ -82,7 +82,7 @@ def test_there_must_be_a_board(tmp_path: Path, run_cli: RunCli, command: str) ->
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_csv_holds_the_numbers_of_the_json(board: Path) -> None:
+def test_the_csv_has_the_numbers_of_the_json(board: Path) -> None:
     lines = list(csv.DictReader(io.StringIO((board / "leaderboard.csv").read_text())))
     made = json.loads((board / "leaderboard.json").read_text())
     listed = [
@@ -116,7 +116,7 @@ def test_entries_keep_their_budgets(board: Path) -> None:
     entry = next(
         e for _, e in read_entries(board / "entries") if (e.policy.name, e.explainer.name) == ("p1", "a")
     )
-    budgets = details[entry.entry_id[:16]]["budgets"]  # four agents; every episode the same line
+    budgets = details[entry.entry_id[:16]]["budgets"]  # four agents; the same curve in every episode
     assert budgets["budget"]["oracle"] == [[0.3333], [0.6667], [1.0]]
     assert budgets["budget"]["random"] == [[0.0]] * 3
     assert budgets["comm_budget"]["explained"] == [[0.45, 0.45, 0.45], [0.9, 0.9, 0.9]]
@@ -143,16 +143,16 @@ def test_serve_answers_on_this_machine(board: Path, run_cli: RunCli, monkeypatch
 
 
 @pytest.mark.slow
-def test_the_committed_board_is_what_its_entries_say() -> None:
+def test_the_committed_board_is_up_to_date() -> None:
     leaderboard = Path(__file__).parents[3] / "leaderboard"
-    assert check_board(leaderboard) == []  # else run: xmarl-bench board build
+    assert check_board(leaderboard) == []  # if it fails, run: xmarl-bench board build
 
 
-# A build that is killed. The child is killed before its k-th change of the disk, for every k.
+# Killed builds: the child is killed before its k-th change of the disk, for every k.
 
 
 def changes(kill_at: int | None) -> Callable[[], int]:
-    """Patch, in this process, what changes a file; die before the k-th change. Says how many there were."""
+    """Patch, in this process, all changes of files; die before the k-th. Returns a counter of changes."""
     count = 0
 
     def counted(call: Callable[..., object]) -> Callable[..., object]:
@@ -172,7 +172,7 @@ def changes(kill_at: int | None) -> Callable[[], int]:
 
 
 def build_in_child(folder: Path, kill_at: int | None) -> int:
-    """How many changes it made, or -1 where it was killed."""
+    """The number of changes that the build made, or -1 if it was killed."""
     read, write = os.pipe()
     child = os.fork()
     if child == 0:
@@ -200,7 +200,7 @@ def links(folder: Path) -> Iterator[Path]:
 
 
 def lay_out(folder: Path, files: dict[str, bytes]) -> None:
-    """These files and no others."""
+    """Make the folder hold exactly these files."""
     for path in folder.rglob("*"):
         if path.is_file():
             path.unlink()
@@ -210,13 +210,13 @@ def lay_out(folder: Path, files: dict[str, bytes]) -> None:
 
 
 @pytest.mark.slow
-def test_a_build_that_is_killed_leaves_a_whole_board(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_build_leaves_a_complete_board(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     old = contents(board)
     next((board / "entries").glob("p1.*")).unlink()
     write_entry(board / "entries", made_entry("p0", "c", 0.7))
     write_entry(board / "entries", made_entry("new", "a", 0.7))
     made = derived(board)
-    monkeypatch.setattr(build, "derived", lambda folder: made)  # the same each time: it changes no file
+    monkeypatch.setattr(build, "derived", lambda folder: made)  # constant, and without changes of files
     total = build_in_child(board, None)
     new = contents(board)
     assert new == made.files
@@ -227,13 +227,13 @@ def test_a_build_that_is_killed_leaves_a_whole_board(board: Path, monkeypatch: p
         assert build_in_child(board, kill_at) == -1
         now = contents(board)
         for name in ("leaderboard.json", "leaderboard.csv", "index.html", "entry.html"):
-            assert now[name] in (old[name], new[name]), f"{name} is torn when killed at {kill_at}"
+            assert now[name] in (old[name], new[name]), f"{name} is incomplete when killed at {kill_at}"
         for needed in links(board):
             path = f"pages/{needed.name}"
             assert needed.read_bytes() in (old.get(path), new.get(path))
         pages_of_new.add(now["index.html"] == new["index.html"])
         if now["leaderboard.json"] == old["leaderboard.json"]:
             assert now["index.html"] == old["index.html"]  # the page comes last
-        build_board(board)  # the next build completes it, and cleans up
+        build_board(board)  # the next build completes it and cleans up
         assert contents(board) == new
     assert pages_of_new == {True, False}

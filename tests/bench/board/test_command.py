@@ -1,4 +1,4 @@
-"""The command on an entry's page makes the entry again."""
+"""The command on an entry's page reproduces the entry."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from xmarl_bench.entry.file import read_entries
         ["--episodes", 1, "--max-cycles", 8, "--no-behaviour", "all"],
     ],
 )
-def test_the_command_makes_the_entry_again(
+def test_the_command_reproduces_the_entry(
     tmp_path: Path,
     run_cli: RunCli,
     make_bundle: MakeBundle,

@@ -29,7 +29,7 @@ def order_of(entry: Entry) -> float:
 
 
 def noisy(levels: Sequence[float], n_policies: int, n_episodes: int, seed: int = 1) -> list[Floats]:
-    """Policies differ, and what they share between competitors cancels in a paired difference."""
+    """Policies differ, but differences that competitors share cancel in pairs."""
     generator = np.random.default_rng(seed)
     return [
         np.array(levels)[:, None]
@@ -53,7 +53,7 @@ def test_places_by_hand() -> None:
     assert interval[0] < blocks[0][3].mean() < interval[1]
 
 
-def test_what_is_equal_but_for_rounding_shares_a_rank() -> None:
+def test_scores_equal_up_to_rounding_share_a_rank() -> None:
     (block,) = noisy([1.0, 0.0], n_policies=1, n_episodes=12)
     block = np.stack([block[1], block[0], block[0] * (1 + 1e-15)])
     found = places([float(row.mean()) for row in block], [block])
@@ -64,7 +64,7 @@ def test_what_is_equal_but_for_rounding_shares_a_rank() -> None:
 
 @pytest.mark.slow
 @given(st.lists(st.floats(-1, 1), min_size=1, max_size=5), st.integers(1, 3), st.integers(0, 5))
-def test_places_are_a_ranking(levels: list[float], n_policies: int, seed: int) -> None:
+def test_places_have_the_properties_of_a_ranking(levels: list[float], n_policies: int, seed: int) -> None:
     blocks = noisy(levels, n_policies, 8, seed)
     values = [float(np.mean([block[r].mean() for block in blocks])) for r in range(len(levels))]
     found = places(values, blocks)
@@ -80,7 +80,7 @@ def test_places_are_a_ranking(levels: list[float], n_policies: int, seed: int) -
 
 
 @pytest.mark.parametrize("n_policies", [1, 4])
-def test_intervals_and_groups_are_those_of_the_statistics(n_policies: int) -> None:
+def test_intervals_and_groups_equal_those_of_the_statistics(n_policies: int) -> None:
     levels = [3.0, 3.0, 2.0, 1.0, 1.0]
     blocks = noisy(levels, n_policies, n_episodes=30)
     rows = [[block[r] for block in blocks] for r in range(5)]
@@ -98,8 +98,8 @@ def test_intervals_and_groups_are_those_of_the_statistics(n_policies: int) -> No
     assert group >= 3
 
 
-def test_of_three_runs_little_is_known() -> None:
-    """A mean that is above in each of three runs, by different amounts, is not surely above."""
+def test_three_unequal_runs_do_not_separate_ranks() -> None:
+    """A mean that is higher in each of three runs, by different amounts, is not significantly higher."""
     blocks = [np.array([[by, by], [0.0, 0.0]]) for by in (0.1, 0.5, 1.2)]
     found = places([0.6, 0.0], blocks)
     assert [place.rank for place in found] == [1, 2]
@@ -107,13 +107,13 @@ def test_of_three_runs_little_is_known() -> None:
     assert [place.tie_group for place in found] == [1, 1]
 
 
-def test_an_episode_counts_where_all_have_a_number() -> None:
+def test_an_episode_counts_if_all_have_a_number() -> None:
     block = np.array([[2.9, np.nan, 3.0, 3.1], [0.0, 50.0, 0.0, 0.0]])
     found = places([3.0, 0.0], [block])
     assert [place.rank_interval for place in found] == [(1, 1), (2, 2)]  # the 50 has no pair
 
 
-def test_one_episode_says_nothing() -> None:
+def test_one_episode_separates_no_ranks() -> None:
     found = places([0.1, 0.9], [np.array([[0.1], [0.9]])])
     assert [(p.rank, p.rank_interval, p.interval, p.tie_group) for p in found] == [
         (2, None, None, 1), (1, None, None, 1),
@@ -121,7 +121,7 @@ def test_one_episode_says_nothing() -> None:
     assert places([], []) == []
 
 
-def test_the_complete_part_is_shrunk_by_no_latecomer() -> None:
+def test_an_explainer_on_few_policies_does_not_shrink_the_common_set() -> None:
     full = {f"policy{k}": ["a", "b", "c"] for k in range(5)}
     policies, explainers = list(full), ["a", "b", "c"]
     assert complete_part(full) == (policies, explainers)
@@ -159,7 +159,7 @@ def test_ranking_over_policies_has_each_explainers_mean() -> None:
     assert cells == [(None, None), *(("blind_navigation_v0", n) for n in (3, 4, 5))]
 
 
-def test_gated_policies_are_in_no_ranking() -> None:
+def test_gated_policies_are_not_ranked() -> None:
     listed = [made_entry("fine", "a", 0.5), made_entry("failing", "a", 0.9, success_rate=0.2)]
     made = board(listed)
     (overall, _) = made["rankings"]
@@ -170,14 +170,14 @@ def test_gated_policies_are_in_no_ranking() -> None:
     assert groups["failing"]["gate"] == "success rate 0.200, under 0.5"
 
 
-def test_a_policy_without_the_order_is_not_ranked() -> None:
+def test_a_policy_without_message_fidelity_is_not_ranked() -> None:
     made = board([made_entry("deep", "a", 0.5, message_fidelity=None)])
     assert made["rankings"] == []
     assert all(row["rank"] is None for row in made["tables"][0]["policies"][0]["rows"])
 
 
-def test_a_ranking_says_what_runs_say() -> None:
-    """Three policies of one cell and one of another, by hand from their means."""
+def test_a_ranking_is_computed_over_training_runs() -> None:
+    """Three policies of one cell and one of another, computed by hand from their means."""
     levels = {"a": (0.9, 0.8, 0.3, 0.7), "b": (0.5, 0.5, 0.5, 0.5)}
     entries = {
         name: [
@@ -193,7 +193,7 @@ def test_a_ranking_says_what_runs_say() -> None:
     assert a["profile"]["taus"] == (0.3, 0.7, 0.8, 0.9)
     assert a["profile"]["shares"] == (1.0, 0.75, 0.5, 0.25, 0.0)
     assert b["profile"]["shares"] == (1.0, 0.0)
-    # Of nine pairs in the one cell six are better, in the other the only one.
+    # Six of nine pairs in the first cell are better, and the only pair in the other.
     assert ranking["improvement"] == {
         "a": {"b": pytest.approx((6 / 9 + 1) / 2, abs=1e-6)},
         "b": {"a": pytest.approx((3 / 9 + 0) / 2, abs=1e-6)},

@@ -1,4 +1,4 @@
-"""The frame of all checks."""
+"""The common parts of all checks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def does_not_apply(number: int) -> str:
 CHECKS = {"a": passes, "b": fails, "c": refused, "d": crashes, "e": does_not_apply}
 
 
-def test_every_check_is_run_and_none_stops_another() -> None:
+def test_every_check_runs_even_if_another_fails() -> None:
     assert list(run_checks(CHECKS, 7)) == [
         Finding("a", True, "measured 7"),
         Finding("b", False, "7 is too large: give a smaller one."),
@@ -45,7 +45,7 @@ def test_every_check_is_run_and_none_stops_another() -> None:
     ]
 
 
-def test_a_failure_is_exit_code_1_and_what_does_not_apply_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_failures_give_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(typer.Exit) as stop:
         report("seven", run_checks(CHECKS, 7), as_json=False)
     assert stop.value.exit_code == 1

@@ -1,4 +1,4 @@
-"""Every kind of degenerate explanation is found, by the check that says so, and by no other of these."""
+"""Every kind of degenerate explanation fails its own check and none of the others."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def attended(observations: Tensor, policy: Policy) -> Tensor:
 
 
 def constant(observations: Tensor, policy: Policy) -> Tensor:
-    """It looks at what it says alike of all: own edges differ, messages do not."""
+    """All messages get the same value; only own edges differ."""
     return 0.5 + 0.5 * torch.eye(observations.shape[1]).repeat(len(observations), 1, 1)
 
 
@@ -70,11 +70,11 @@ def failed(thing: object) -> set[str]:
         (of_another_policy, {"follows the policy"}),
     ],
 )
-def test_each_kind_is_found_and_told_from_the_others(explain: object, found: set[str]) -> None:
+def test_each_kind_fails_exactly_its_own_checks(explain: object, found: set[str]) -> None:
     assert failed(explain) == found
 
 
-def test_a_mask_that_is_drawn_follows_no_policy() -> None:
+def test_a_random_mask_fails_the_checks_of_dependence() -> None:
     def drawn(observations: Tensor, policy: Policy, generator: torch.Generator) -> Tensor:
         return torch.rand(len(observations), 3, 3, generator=torch.Generator().manual_seed(0))
 
@@ -82,22 +82,22 @@ def test_a_mask_that_is_drawn_follows_no_policy() -> None:
 
 
 @pytest.mark.parametrize("explainer", [CONTROLS["all-ones"], CONTROLS["random"]], ids=lambda each: each.name)
-def test_controls_are_not_meant_to_explain(explainer: Explainer) -> None:
+def test_the_checks_do_not_apply_to_controls(explainer: Explainer) -> None:
     assert failed(explainer) == set()
 
 
-def test_two_agents_have_nothing_to_rank() -> None:
+def test_the_checks_do_not_apply_to_two_agents() -> None:
     subject = ExplainerSubject(as_explainer(constant), small_policy(6), random_observations(4, 2, 6))
     assert {each.passed for each in run_checks(DEGENERATE_CHECKS, subject)} == {None}
 
 
 def test_sameness_by_hand() -> None:
-    """Receiver 0 ranks 1 above 2 in both states; receiver 1 changes its mind."""
+    """Receiver 0 ranks 1 above 2 in both states; receiver 1 ranks them differently in each."""
     mask = np.full((2, 3, 3), 0.5)
     mask[:, 0, 1:] = 0.9, 0.1
     mask[0, 1, [0, 2]] = 0.9, 0.1
     mask[1, 1, [0, 2]] = 0.1, 0.9
-    # Ranks are +-1/2; in the mean receiver 1 and 2 rank nothing: 2 of 4 rows that rank are the mean's own.
+    # Ranks are +-1/2. The mean ranks nothing for receivers 1 and 2: 2 of 4 ranking rows equal the mean's.
     assert sameness(mask, mean_over_states) == pytest.approx(2 / np.sqrt(4 * 2))
     alike = np.broadcast_to(np.array([0.1, 0.5, 0.9]), (2, 3, 3)).copy()
     assert sameness(alike, mean_over_receivers) == pytest.approx(1.0)

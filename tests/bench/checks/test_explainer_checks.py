@@ -1,4 +1,4 @@
-"""Every check passes what is right and fails what is wrong, in a sentence."""
+"""Every check passes valid explainers and fails invalid ones with a message."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CALLS = [0]
 
 
 def found(thing: object, *only: str, **declared: Any) -> dict[str, Finding]:
-    """All checks but the one that starts another process, unless it is asked for."""
+    """Run all checks, but the one that starts another process only on request."""
     explainer = thing if isinstance(thing, Explainer) else as_explainer(thing, **declared)
     subject = ExplainerSubject(explainer, small_policy(6), random_observations(6, 3, 6))
     chosen = {name: CHECKS[name] for name in only or CHECKS if only or name != PROCESS}
@@ -58,7 +58,7 @@ def noisy(observations: Tensor, policy: Policy, generator: torch.Generator) -> T
 
 
 @pytest.mark.slow
-def test_what_is_right_passes() -> None:
+def test_valid_explainers_pass() -> None:
     assert failed(attended) == {}
     assert failed(attended, accesses="attention") == {}
     assert failed(attended_one, batched=False) == {}
@@ -71,14 +71,14 @@ def test_what_is_right_passes() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(BAD))
-def test_masks_that_are_none_fail_where_they_are_wrong(name: str) -> None:
+def test_invalid_masks_fail_the_right_check(name: str) -> None:
     findings = found(BAD[name])
     first = next(each for each in findings.values() if each.passed is False)
     assert repr(name) in first.message
     where = {"nan": "finiteness", "late-nan": "finiteness", "infinite": "finiteness", "too-large": "range",
              "negative": "range"}  # fmt: skip
     assert first.check == where.get(name, "shape")
-    assert findings["memory"].passed is None  # nothing to look at
+    assert findings["memory"].passed is None  # no mask to measure
 
 
 def count(observations: Tensor) -> Tensor:
@@ -130,7 +130,7 @@ def by_position(observations: Tensor, policy: Policy) -> Tensor:
 
 @pytest.fixture
 def few_timed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twelve timesteps are timed, not a hundred: `slow` waits for each."""
+    """Times twelve timesteps instead of a hundred, because `slow` waits for each."""
     monkeypatch.setattr(explainer_checks, "TIMED_TIMESTEPS", 12)
 
 
@@ -172,7 +172,7 @@ def test_every_check_can_fail(thing: Callable[..., Tensor], check: str, said: st
 
 
 @pytest.mark.slow
-def test_slow_explainers_that_say_so_are_let_pass() -> None:
+def test_explainers_declared_slow_pass() -> None:
     assert failed(slow, "time per timestep", slow=True) == {}
 
 
@@ -193,7 +193,7 @@ def test_memory_is_measured_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.slow
-def test_settings_kept_on_a_class_of_pyg_are_no_business_of_the_policy() -> None:
+def test_settings_that_pyg_keeps_on_a_class_do_not_fail_the_checks() -> None:
     algorithm = as_explainer(GraphMaskExplainer(1, epochs=1, log=False))
     assert (
         failed(algorithm, "policy untouched", "global random state untouched", "observations untouched") == {}

@@ -1,4 +1,4 @@
-"""The checks of policies: shipped and deep ones pass what is true of them, and every check can fail."""
+"""The checks of policies: shipped and deep policies pass, and every check can fail."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLAYED = "success above random"
 
 
 def failed(policy: Policy, *only: str) -> dict[str, str]:
-    """What is said of the checks that fail, on states drawn at random; all checks but that of success."""
+    """Messages of the failed checks on random states; all checks except that of success."""
     states = torch.randn(4, 3, 6, generator=torch.Generator().manual_seed(0))
     chosen = {name: CHECKS[name] for name in only or CHECKS if only or name != PLAYED}
     with torch.no_grad():
@@ -33,7 +33,7 @@ def failed(policy: Policy, *only: str) -> dict[str, str]:
 
 
 class Pilot(nn.Module):
-    """Flies to its goal, and a little after the team; `fault` is what is wrong with it."""
+    """Drives to its goal, and a little after the team; `fault` names its fault."""
 
     def __init__(self, fault: str = "") -> None:
         super().__init__()
@@ -63,7 +63,7 @@ class Pilot(nn.Module):
 
 
 @pytest.mark.slow
-def test_a_sound_policy_passes_every_check() -> None:
+def test_a_valid_policy_passes_every_check() -> None:
     found = list(check_policy(ModulePolicy(Pilot(), 6), CELL, timesteps=4, episodes=2))
     assert [each.check for each in found] == list(CHECKS)
     assert [each.message for each in found if not each.passed] == []
@@ -78,19 +78,19 @@ def test_a_sound_policy_passes_every_check() -> None:
         ("leak", {"masks reach their edges", "blind without messages"}),
     ],
 )
-def test_every_fault_is_found(fault: str, fails: set[str]) -> None:
+def test_every_fault_fails_its_checks(fault: str, fails: set[str]) -> None:
     found = failed(ModulePolicy(Pilot(fault), 6))
     assert fails <= set(found) <= {*fails, "permutation equivariance"}
     assert all(said.endswith(".") for said in found.values())
 
 
 @pytest.mark.slow
-def test_a_policy_that_flies_away_is_no_better_than_chance() -> None:
+def test_a_policy_that_moves_away_from_its_goal_fails_the_check_of_success() -> None:
     assert "not more than chance" in failed(ModulePolicy(Pilot("lost"), 6), PLAYED)[PLAYED]
 
 
 class Broken(ModulePolicy):
-    """Turns bad after it was accepted, as weights out of a file might."""
+    """Becomes invalid after it was accepted, like weights from a file."""
 
     def __init__(self, fault: str) -> None:
         pilot = Pilot()
@@ -99,11 +99,11 @@ class Broken(ModulePolicy):
 
 
 @pytest.mark.parametrize(("fault", "fails"), [("noise", "repeats"), ("nan", "output ranges")])
-def test_actions_that_are_none_are_found(fault: str, fails: str) -> None:
+def test_invalid_actions_fail_their_check(fault: str, fails: str) -> None:
     assert fails in failed(Broken(fault))
 
 
-def test_weights_that_are_none_are_found() -> None:
+def test_weights_that_are_not_finite_fail_their_check() -> None:
     policy = ModulePolicy(Pilot(), 6)
     with torch.no_grad():
         policy.network.get_parameter("layer.bias").fill_(torch.nan)
@@ -111,8 +111,10 @@ def test_weights_that_are_none_are_found() -> None:
 
 
 @pytest.mark.slow
-def test_on_the_command_line(tmp_path: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Deep, on a graph that is not complete, and untrained: only the last is a failure."""
+def test_the_command_reports_each_check(
+    tmp_path: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A deep policy on a radius graph, untrained: only the check of success fails."""
     monkeypatch.setattr(BlindNavigation, "default_max_cycles", 40)
     policy: Any = random_policy(record(GAT2, graph={"kind": "radius", "radius": 1.0}))
     save_policy(tmp_path / "deep", policy, name="deep", **CARD)

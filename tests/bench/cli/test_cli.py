@@ -1,4 +1,4 @@
-"""The command line: what it writes, and that bad input is one sentence, exit code 2 and no file."""
+"""The command line: its output; invalid input gives one sentence, exit code 2 and no file."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_score_twice_writes_the_same_board(run_cli: RunCli, make_bundle: MakeBun
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
-def test_slow_explainers_are_given_less_and_it_says_so(
+def test_slow_explainers_get_fewer_states_and_the_output_says_so(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path
 ) -> None:
     ran = run_cli(
@@ -122,14 +122,16 @@ def test_slow_explainers_are_given_less_and_it_says_so(
         (["--parallel-episodes", "0"], ["parallel_episodes"]),
     ],
 )
-def test_bad_options(
+def test_invalid_options_are_refused(
     arguments: list[str], said: list[str], run_cli: RunCli, make_bundle: MakeBundle, out: Path
 ) -> None:
     chosen = [] if "--explainer" in arguments else ["--explainer", "attention"]
     assert_refused(run_cli("score", "--policy", make_bundle(), *chosen, *arguments, "--out", out), out, *said)
 
 
-def test_unknown_policy(run_cli: RunCli, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unknown_policy_is_refused_with_the_nearest_name(
+    run_cli: RunCli, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(registry, "registered_policies", lambda: ({"navigation-n3": tmp_path}, []))
     ran = run_cli("score", "--policy", "navigaton-n3", "--explainer", "attention", "--out", out)
     assert_refused(ran, out, "'navigaton-n3'", "did you mean 'navigation-n3'?")
@@ -192,7 +194,7 @@ def _unknown_task(folder: Path) -> None:
     ],
     ids=lambda value: value.__name__.strip("_") if callable(value) else "",
 )
-def test_damaged_policies(
+def test_damaged_policies_are_refused(
     damage: Callable[[Path], None], said: str, run_cli: RunCli, make_bundle: MakeBundle, out: Path
 ) -> None:
     folder = make_bundle()
@@ -200,7 +202,7 @@ def test_damaged_policies(
     assert_refused(run_cli("score", "--policy", folder, "--explainer", "attention", "--out", out), out, said)
 
 
-def test_two_policies_of_one_name(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
+def test_two_policies_of_one_name_are_refused(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
     first = make_bundle(name="same")
     second = first.rename(first.with_name("elsewhere"))
     ran = run_cli("score", "--policy", make_bundle(name="same"), "--policy", second, "--out", out)
@@ -218,14 +220,16 @@ def test_two_policies_of_one_name(run_cli: RunCli, make_bundle: MakeBundle, out:
     ],
 )
 @pytest.mark.usefixtures("plugins")
-def test_bad_explainers(name: str, said: str, run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
+def test_invalid_explainers_are_refused(
+    name: str, said: str, run_cli: RunCli, make_bundle: MakeBundle, out: Path
+) -> None:
     ran = run_cli("score", "--policy", make_bundle(), "--explainer", name, *QUICK, "--out", out)
     assert_refused(ran, out, repr(name), said)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
-def test_what_was_finished_before_an_error_stays_and_is_on_the_board(
+def test_entries_finished_before_an_error_are_kept_and_on_the_board(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path
 ) -> None:
     chosen = ("--explainer", "random", "--explainer", "late-nan")
@@ -241,7 +245,7 @@ def test_what_was_finished_before_an_error_stays_and_is_on_the_board(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
-def test_a_bad_explainer_is_refused_in_a_worker_process_too(
+def test_an_invalid_explainer_is_refused_in_a_worker_process_too(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path
 ) -> None:
     ran = run_cli(
@@ -251,22 +255,24 @@ def test_a_bad_explainer_is_refused_in_a_worker_process_too(
 
 
 @pytest.mark.usefixtures("plugins")
-def test_policies_of_a_plugin_that_fails_to_load(run_cli: RunCli, out: Path) -> None:
+def test_a_policy_plugin_that_fails_to_load_is_reported(run_cli: RunCli, out: Path) -> None:
     assert_refused(run_cli("score", "--out", out, "--explainer", "random"), out, "'broken-policies'")
     assert_refused(run_cli("list", "policies"), out, "'broken-policies'")
     listed = run_cli("list", "explainers")
-    assert "vandal" in listed.out  # one that fails hides no other
+    assert "vandal" in listed.out  # one failure does not hide the others
     assert_refused(listed._replace(out=""), out, "'broken'", "failed to load")
 
 
-def test_an_unwritable_output_folder(run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path) -> None:
+def test_an_unwritable_output_folder_is_refused(
+    run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path
+) -> None:
     file = tmp_path / "file"
     file.write_text("")
     ran = run_cli("score", "--policy", make_bundle(), "--explainer", "random", "--out", file / "deeper")
     assert_refused(ran, file / "deeper", "cannot write")
 
 
-def test_a_board_that_could_not_be_rebuilt_is_refused_first(
+def test_a_board_that_cannot_be_rebuilt_is_refused_before_scoring(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path
 ) -> None:
     (out / "entries").mkdir(parents=True)
@@ -326,7 +332,7 @@ def test_evaluate(run_cli: RunCli, make_bundle: MakeBundle) -> None:
 
 
 @pytest.mark.slow
-def test_the_installed_command_in_a_process_of_its_own(tmp_path: Path) -> None:
+def test_the_installed_command_runs_in_its_own_process(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "xmarl_bench.cli.main", "validate", "nothing.zip"],
         capture_output=True, text=True, cwd=tmp_path, timeout=100, check=False,

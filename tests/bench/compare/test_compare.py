@@ -1,4 +1,4 @@
-"""Explainers compared on the same episodes: by hand, refused where there is nothing to pair, drawn."""
+"""Comparisons of explainers on the same episodes: computed by hand, refused without pairs, drawn."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def entry(tmp_path_factory: pytest.TempPathFactory) -> Entry:
 
 
 def like(entry: Entry, explainer: str, values: Values, *, policy: str = "small", **changes: object) -> Entry:
-    """Another entry of the same states, whose episodes have these values of FidDelta and GEF."""
+    """Another entry on the same states, with these values of FidDelta and GEF per episode."""
     (cell,) = entry.results
     rows = tuple(
         row.model_copy(update={"fid_delta": value, "gef": value})
@@ -54,13 +54,13 @@ def test_a_comparison_by_hand(entry: Entry) -> None:
     (pair,) = comparison.pairs
     assert (pair.first, pair.second) == ("better", "worse")
     assert pair.difference.value == pytest.approx(0.25)
-    assert pair.difference.interval == pytest.approx((0.25, 0.25))  # paired: it is the same in every episode
+    assert pair.difference.interval == pytest.approx((0.25, 0.25))  # paired, and the same in every episode
     assert pair.improvement == 15 / 16  # of 16 pairs of episodes, all but 0.35 < 0.4
     assert pair.p_holm == pair.difference.p
     assert comparison.standings[0].iqm == pytest.approx(0.5)
-    profile = comparison.standings[0].profile  # of the episodes of a single policy
+    profile = comparison.standings[0].profile  # over the episodes of a single policy
     assert (profile.taus, profile.shares) == ((0.35, 0.45, 0.55, 0.65), (1.0, 0.75, 0.5, 0.25, 0.0))
-    assert compare(blocks, "gef").pairs[0].improvement == 15 / 16  # of "worse", which is better there
+    assert compare(blocks, "gef").pairs[0].improvement == 15 / 16  # of "worse", because lower is better
     assert [each.explainer for each in compare(blocks, "gef").standings] == ["worse", "better"]
 
 
@@ -90,13 +90,13 @@ def test_several_policies_each_count_once(entry: Entry) -> None:
     assert [each.tie_group for each in comparison.standings] == [1, 1]
 
 
-def test_the_order_of_entries_and_rows_changes_nothing(entry: Entry) -> None:
+def test_the_result_does_not_depend_on_the_order_of_entries_and_rows(entry: Entry) -> None:
     rng = np.random.default_rng(0)
     entries = [like(entry, name, rng.random(4).tolist()) for name in "abcd"]
     assert compare(blocks_of(entries), "fid_delta") == compare(blocks_of(entries[::-1]), "fid_delta")
 
 
-def test_what_cannot_be_paired_is_refused(entry: Entry) -> None:
+def test_entries_that_cannot_be_paired_are_refused(entry: Entry) -> None:
     one = like(entry, "a", [0.0] * 4)
     (cell,) = one.results
     other = cell.model_copy(
@@ -115,7 +115,7 @@ def test_what_cannot_be_paired_is_refused(entry: Entry) -> None:
             blocks_of(entries)
 
 
-def test_metrics_that_are_not_there_are_refused(entry: Entry) -> None:
+def test_metrics_that_were_not_measured_are_refused(entry: Entry) -> None:
     blocks = blocks_of([like(entry, "a", [None] * 4), like(entry, "b", [0.0] * 4)])
     with pytest.raises(InputError, match="fid_delta is not a number in any episode of 'a'"):
         compare(blocks, "fid_delta")
@@ -126,7 +126,7 @@ def test_metrics_that_are_not_there_are_refused(entry: Entry) -> None:
     assert "comm_budgeted_fidelity" in BETTER
 
 
-def test_names_mean_the_states_that_all_share(entry: Entry) -> None:
+def test_explainers_named_are_compared_on_the_states_they_share(entry: Entry) -> None:
     few = entry.protocol.model_copy(update={"timesteps": 1})
     both = [like(entry, "fast", [0.0] * 4), like(entry, "fast", [0.0] * 4, protocol=few)]
     slow = like(entry, "slow", [0.0] * 4, protocol=few)
@@ -136,7 +136,7 @@ def test_names_mean_the_states_that_all_share(entry: Entry) -> None:
 
 
 @pytest.mark.slow
-def test_the_command(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
+def test_the_command_prints_json_and_draws(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
     folder = tmp_path / "entries"
     files = [
         write_entry(folder, like(entry, name, [value, value + 0.1, value, value]))
@@ -156,7 +156,7 @@ def test_the_command(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
     assert record["standings"][0]["profile"]["shares"] == [1.0, 0.25, 0.0]
 
 
-def test_bad_input_is_one_sentence(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
+def test_invalid_input_is_refused_with_one_sentence(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
     folder = tmp_path / "entries"
     file = write_entry(folder, like(entry, "one", [0.1] * 4))
     for arguments, said in [
@@ -170,7 +170,7 @@ def test_bad_input_is_one_sentence(run_cli: RunCli, entry: Entry, tmp_path: Path
         assert said in ran.err
 
 
-def test_files_are_taken_as_they_are(entry: Entry, tmp_path: Path) -> None:
+def test_files_are_not_filtered_to_shared_states(entry: Entry, tmp_path: Path) -> None:
     few = entry.protocol.model_copy(update={"timesteps": 1})
     pair = like(entry, "a", [0.0] * 4), like(entry, "b", [0.0] * 4, protocol=few)
     files = [str(write_entry(tmp_path, each)) for each in pair]

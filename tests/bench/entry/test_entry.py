@@ -1,4 +1,4 @@
-"""Entries are strict JSON, and their id is that of their numbers."""
+"""Entries are strict JSON, and their id is a hash of their numbers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_round_trip(tmp_path: Path, entry: Entry) -> None:
     assert read_entry(path) == entry
 
 
-def test_the_id_leaves_out_where_and_how_fast_and_who_verified(entry: Entry) -> None:
+def test_the_id_does_not_cover_provenance_cost_and_verification(entry: Entry) -> None:
     assert entry_id(entry) == entry.entry_id
     cost = entry.cost.model_copy(update={"explain_seconds_per_timestep": 9.0})
     provenance = entry.provenance.model_copy(update={"cpu": "another"})
@@ -61,7 +61,7 @@ def edited(entry: Entry, edit: Any) -> str:
         (lambda value: value["results"][0]["episodes"][0].update(gef=0.123), "changed after it was written"),
     ],
 )
-def test_what_is_not_an_entry_is_refused_and_named(
+def test_invalid_entries_are_refused_with_the_reason(
     tmp_path: Path, entry: Entry, edit: Any, said: str
 ) -> None:
     path = tmp_path / "entry.json"

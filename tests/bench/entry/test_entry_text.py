@@ -1,4 +1,4 @@
-"""The file of an entry: canonical JSON in lines. Any other layout is read, or refused, all the same."""
+"""The file of an entry is canonical JSON in lines; other layouts are read, or refused, alike."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ENTRY = made_entry("policy", "explainer", 0.5, episodes=4)
 plain = (
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
 )
-# Deep and wide enough for every break of a line; most of the time goes into drawing them.
+# Deep and wide enough for every kind of line break; most of the time goes into drawing them.
 values = st.recursive(
     plain,
     lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(), inner, max_size=5),
@@ -30,13 +30,13 @@ values = st.recursive(
 
 @pytest.mark.slow
 @given(values, st.integers(0, 4))
-def test_lines_are_canonical_but_for_their_breaks(value: Any, levels: int) -> None:
+def test_joined_lines_are_canonical_json(value: Any, levels: int) -> None:
     assert json_lines(value, levels).replace(b"\n", b"") == canonical_json(value)
 
 
 @pytest.mark.slow
 @given(st.dictionaries(st.text(), values, max_size=5))
-def test_members_make_the_object(value: dict[str, Any]) -> None:
+def test_the_members_make_up_the_object(value: dict[str, Any]) -> None:
     assert object_of(members(value)) == canonical_json(value)
 
 
@@ -84,7 +84,7 @@ def hyperparameter(value: Any) -> Callable[[dict[str, Any]], object]:
         (lambda v: v.update(submitter="x" * 10_001), "at most 10000 characters at submitter"),
     ],
 )
-def test_no_layout_hides_what_is_refused(
+def test_invalid_entries_are_refused_in_every_layout(
     write: Write, edit: Callable[[dict[str, Any]], object], said: str
 ) -> None:
     value = ENTRY.model_dump(mode="json")
@@ -95,13 +95,13 @@ def test_no_layout_hides_what_is_refused(
         parse_entry(text)
 
 
-def test_a_key_given_twice_is_refused_in_one_line_too() -> None:
+def test_a_duplicate_key_is_refused_in_one_line_too() -> None:
     text = entry_text(ENTRY).replace(b'"submitter":null', b'"submitter":null,"submitter":null')
     with pytest.raises(ValueError, match="has the key 'submitter' twice"):
         parse_entry(text)
 
 
-def test_integers_that_are_long_and_allowed() -> None:
+def test_long_integers_within_the_limit_are_read() -> None:
     for number in (10**20 - 1, -(10**19) + 1):
         value = ENTRY.model_dump(mode="json")
         hyperparameter(number)(value)

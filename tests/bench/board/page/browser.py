@@ -34,7 +34,7 @@ def chromium() -> Iterator[Browser]:
 def browse(chromium: Browser) -> Iterator[Browse]:
     """browse(file, fragment, **context) -> the page, opened from the disk.
 
-    Whatever the page says on the console, throws, or asks of anything but its own folder fails the test.
+    Console messages, exceptions and requests outside of the page's folder fail the test.
     """
     contexts, wrong = [], []
 
@@ -57,7 +57,7 @@ def browse(chromium: Browser) -> Iterator[Browse]:
         return page
 
     yield open_page
-    found = [*wrong]  # closing ends what is still being loaded
+    found = [*wrong]  # before closing, which aborts what is still loading
     for context in contexts:
         context.close()
     assert not found, "; ".join(found)

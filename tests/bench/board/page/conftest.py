@@ -1,4 +1,4 @@
-"""A small board, and the browser to see it with."""
+"""A small board, and a browser to show it."""
 
 from __future__ import annotations
 

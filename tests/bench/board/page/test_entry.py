@@ -18,7 +18,7 @@ def find(board: Path, policy: str, explainer: str = "good") -> Entry:
     return next(e for e in entries if (e.policy.name, e.explainer.name) == (policy, explainer))
 
 
-def test_numbers_provenance_and_command(board: Path, browse: Browse) -> None:
+def test_the_page_shows_numbers_provenance_and_command(board: Path, browse: Browse) -> None:
     entry = find(board, "p1", "fair")
     page = browse(board / "entry.html", f"#{entry.entry_id[:16]}")
     expect(page.locator("h1")).to_have_text("fair on p1")
@@ -65,7 +65,7 @@ def test_pages_work_without_an_animation(board: Path, browse: Browse) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
 
 
-def test_what_is_not_ranked_or_not_there_says_so(board: Path, browse: Browse) -> None:
+def test_the_page_says_if_an_entry_is_not_ranked_or_missing(board: Path, browse: Browse) -> None:
     page = browse(board / "entry.html", f"#{find(board, 'failing').entry_id[:16]}")
     expect(page.locator("#gate")).to_have_text("Not ranked: success rate 0.200, under 0.5.")
     page = browse(board / "entry.html", "#0123456789abcdef")

@@ -29,7 +29,7 @@ def values(texts: list[str]) -> list[float]:
     return [float(re.split(r"[\s\[]", text.replace("\u2212", "-"))[0]) for text in texts]
 
 
-def test_the_ranking_is_that_of_the_json(board: Path, browse: Browse) -> None:
+def test_the_ranking_equals_that_of_the_json(board: Path, browse: Browse) -> None:
     made = json.loads((board / "leaderboard.json").read_text())
     ranking = next(each for each in made["rankings"] if each["task"] is None and len(each["policies"]) > 1)
     page = browse(board / "index.html")
@@ -49,7 +49,7 @@ def test_the_ranking_is_that_of_the_json(board: Path, browse: Browse) -> None:
     assert set(colours[3:]) != set(colours[:3])  # controls are shaded
 
 
-def test_every_number_stands_under_its_heading(board: Path, browse: Browse) -> None:
+def test_every_number_is_under_its_heading(board: Path, browse: Browse) -> None:
     made = json.loads((board / "leaderboard.json").read_text())
     table = next(t for t in made["tables"] if t["policies"][0]["name"] == "hall")
     row = next(row for row in table["policies"][0]["rows"] if row["entry_id"])
@@ -86,7 +86,7 @@ def test_sorting_by_click_and_by_keyboard(board: Path, browse: Browse) -> None:
     assert names == sorted(names)
 
 
-def test_filters_and_the_address(board: Path, browse: Browse) -> None:
+def test_filters_are_in_the_address(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html")
     assert total(page) == ALL_ROWS
     page.locator("#kind").select_option("0")
@@ -103,23 +103,23 @@ def test_filters_and_the_address(board: Path, browse: Browse) -> None:
     page.get_by_label("Search").fill("fair")
     assert total(page) == 1
     page.reload()
-    assert total(page) == 3  # the address holds the choice, the search is not in it
+    assert total(page) == 3  # the address holds the choice but not the search
     assert column(page, "scores", 3) == ["p3"] * 3
     page.locator("#policy").select_option(label="failing, 3 agents")
     assert note.inner_text().endswith("Not ranked: success rate 0.200, under 0.5.")
     assert column(page, "scores", 1) == ["not ranked"]
     page.get_by_label("Team size").first.select_option("5")
-    assert column(page, "scores", 3) == ["p2"] * 3  # a policy that is not there is not kept
+    assert column(page, "scores", 3) == ["p2"] * 3  # a missing policy is dropped from the address
 
 
-def test_only_one_protocol_at_a_time(board: Path, browse: Browse) -> None:
+def test_one_protocol_is_shown_at_a_time(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html")
     assert "short" not in set(column(page, "scores", 3))
     page.get_by_label("Protocol").select_option(label="xmarl-3, 10 episodes, every timestep")
     assert set(column(page, "scores", 3)) == {"short"}
 
 
-def test_the_budget_curves(board: Path, browse: Browse) -> None:
+def test_budget_curves_show_explainers_random_and_oracle(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html")
     page.locator("#budget-title").scroll_into_view_if_needed()
     page.locator("#budget-policy").select_option(label="p2, 5 agents")
@@ -134,7 +134,7 @@ def test_the_budget_curves(board: Path, browse: Browse) -> None:
     assert [float(mean) for name, _, mean, _ in lines if name == "oracle"] == [0.25, 0.5, 0.75, 1.0]
 
 
-def test_performance_profiles_and_who_does_better(board: Path, browse: Browse) -> None:
+def test_performance_profiles_and_probabilities_of_improvement(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html")
     page.locator("#profile-title").scroll_into_view_if_needed()
     figure = page.locator("#profile-figure")
@@ -150,7 +150,7 @@ def test_performance_profiles_and_who_does_better(board: Path, browse: Browse) -
     expect(figure.get_by_text("Nothing is ranked here.")).to_be_visible()
 
 
-def test_violins_of_two_selections(board: Path, browse: Browse) -> None:
+def test_two_selections_have_violins(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html")
     page.locator("#violin-title").scroll_into_view_if_needed()
     figure = page.locator("#violin-figure")
@@ -168,7 +168,7 @@ def test_violins_of_two_selections(board: Path, browse: Browse) -> None:
     assert float(lines[3][3]) == pytest.approx(0.9, abs=0.02)
 
 
-def test_links_lead_to_what_there_is(board: Path, browse: Browse) -> None:
+def test_links_lead_to_existing_pages(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html", "#kind=0")
     links = page.locator("#scores tbody a").evaluate_all("all => all.map(e => e.getAttribute('href'))")
     identities = {link.removeprefix("entry.html#") for link in links}
@@ -183,15 +183,15 @@ def test_links_lead_to_what_there_is(board: Path, browse: Browse) -> None:
         assert (board / target).is_file()
 
 
-def test_what_a_submitter_writes_is_text(board: Path, browse: Browse) -> None:
+def test_submitted_text_is_escaped(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html", "#task=blind_passage_v0&kind=0")
     assert HOSTILE in column(page, "scores", 2)[0]
     assert page.locator("table img").count() == 0
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_telephone_in_light_and_dark(board: Path, browse: Browse, scheme: str) -> None:
-    """Nothing but the tables scrolls sideways, and text can be told from its ground (WCAG AA: 4.5 to 1)."""
+def test_the_page_is_readable_on_a_phone_in_light_and_dark(board: Path, browse: Browse, scheme: str) -> None:
+    """Only tables scroll sideways, and text has enough contrast (WCAG AA: 4.5 to 1)."""
     page = browse(board / "index.html", color_scheme=scheme, viewport={"width": 360, "height": 740})
     for figure in ("#profile-figure", "#budget-figure", "#violin-figure"):
         page.locator(figure).scroll_into_view_if_needed()
@@ -206,14 +206,14 @@ def test_a_telephone_in_light_and_dark(board: Path, browse: Browse, scheme: str)
         assert contrast(ink, behind) >= 4.5, selector
 
 
-def test_without_scripts_the_ranking_is_there(board: Path, browse: Browse) -> None:
+def test_without_scripts_the_ranking_is_shown(board: Path, browse: Browse) -> None:
     page = browse(board / "index.html", java_script_enabled=False)
     rows = page.locator("noscript table").first.locator("tbody tr")
     expect(rows.first).to_be_visible()
     assert rows.first.locator("th").inner_text() == "good"
 
 
-def test_an_empty_board(tmp_path: Path, browse: Browse) -> None:
+def test_an_empty_board_is_shown(tmp_path: Path, browse: Browse) -> None:
     from xmarl_bench.board import build_board
 
     build_board(tmp_path)

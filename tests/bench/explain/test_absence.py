@@ -1,4 +1,4 @@
-"""What stands in for a message that is taken away, against a dense computation message by message."""
+"""Replacements of removed messages, against a dense computation message by message."""
 
 from __future__ import annotations
 
@@ -61,23 +61,23 @@ def dense_table(policy: GraphPolicy, n_agents: int, absence: Absence, seed: int 
 @SIZES
 @RESIDUAL
 @pytest.mark.parametrize("absence", list(Absence))
-def test_each_model_is_what_it_says(n_agents: int, residual: bool, absence: Absence) -> None:
+def test_each_model_equals_its_formula(n_agents: int, residual: bool, absence: Absence) -> None:
     found = table_of(small_policy(5, 3, residual=residual), n_agents, absence)
     expected = dense_table(small_policy(5, 3, residual=residual), n_agents, absence)
     np.testing.assert_allclose(found, expected, atol=ROUNDING)
     assert found[:-1].max() > 1e-2
-    assert found[-1].max() == 0.0  # nothing is taken away
+    assert found[-1].max() == 0.0  # nothing is removed
 
 
 @SIZES
-def test_zero_is_that_of_the_paper(n_agents: int) -> None:
+def test_zero_equals_the_paper_s_masked_forward(n_agents: int) -> None:
     policy = small_policy(5, 4)
     papers = others_table(change_table(policy, random_observations(6, n_agents, 5, seed=1)))
     np.testing.assert_allclose(table_of(policy, n_agents, Absence.ZERO), papers, atol=ROUNDING)
 
 
 @RESIDUAL
-def test_renormalised_is_a_team_without_those_who_are_silent(residual: bool) -> None:
+def test_renormalised_equals_a_team_without_the_silent_agents(residual: bool) -> None:
     policy, observations = small_policy(5, 4, residual=residual), random_observations(3, 4, 5)
     table = message_table(policy, observations, Absence.RENORMALISED, observations, np.random.default_rng(0))
     with torch.no_grad():
@@ -91,8 +91,8 @@ def test_renormalised_is_a_team_without_those_who_are_silent(residual: bool) -> 
                 np.testing.assert_allclose(table[row, :, i], expected, atol=ROUNDING)
 
 
-def test_what_nobody_attends_to_may_be_replaced_by_anything() -> None:
-    """A decoy: coefficients are those of what was said, so a message of coefficient 0 has no stand-in."""
+def test_replacing_a_message_without_attention_changes_nothing() -> None:
+    """Coefficients are those of the original messages, so a message with coefficient 0 has no replacement."""
     policy = small_policy(5, 1)
     prepared = policy.prepare(random_observations(6, 3, 5, seed=1))
     attention = prepared.attention.detach().clone()
@@ -111,7 +111,7 @@ def test_rows_keep_the_own_edge() -> None:
     assert rows[3].tolist() == torch.ones(3, 3).tolist()
 
 
-def test_draws_are_passed_in_and_chunks_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_draws_are_passed_in_and_chunks_change_only_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
     policy = small_policy(5, 2)
     first, other = (table_of(policy, 4, Absence.RESAMPLE, seed) for seed in (0, 1))
     assert np.array_equal(first, table_of(policy, 4, Absence.RESAMPLE, 0))
@@ -120,11 +120,11 @@ def test_draws_are_passed_in_and_chunks_change_rounding_only(monkeypatch: pytest
     np.testing.assert_allclose(first, table_of(policy, 4, Absence.RESAMPLE, 0), atol=ROUNDING)
 
 
-def test_reference_states_are_for_teams_that_can_be_tried() -> None:
+def test_reference_states_are_played_only_for_teams_with_an_oracle() -> None:
     policy = small_policy(6, 1)
     assert reference_states(policy, "blind_navigation_v0", 11) is None
     states = reference_states(policy, "blind_navigation_v0", 3)
     assert states is not None
     assert states.shape[1:] == (3, 6)
     assert len(states) <= 10 * 20
-    assert module.DRAWS == 4  # as the protocol's definitions say
+    assert module.DRAWS == 4  # as in the protocol's definitions

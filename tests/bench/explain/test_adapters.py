@@ -1,4 +1,4 @@
-"""What people bring becomes an explainer, by one documented rule, or is refused in one sentence."""
+"""Functions, classes and objects become explainers by one documented rule, or are refused with a reason."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def run(thing: object, seed: int = 0, **declared: Any) -> Tensor:
     return run_explainer(as_explainer(thing, **declared), POLICY, OBSERVATIONS, seed)
 
 
-def test_parameters_are_told_apart_by_name() -> None:
+def test_parameters_are_recognised_by_name() -> None:
     expected = POLICY.attention(OBSERVATIONS)
     for explain in (
         attended,
@@ -80,12 +80,12 @@ def test_parameters_are_told_apart_by_name() -> None:
         ("attention", "a str explains nothing"),
     ],
 )
-def test_what_cannot_be_called_so_is_refused(explain: object, said: str) -> None:
+def test_unsupported_signatures_and_types_are_refused(explain: object, said: str) -> None:
     with pytest.raises(InputError, match=said):
         as_explainer(explain)
 
 
-def test_the_decorator_declares() -> None:
+def test_the_decorator_records_declarations() -> None:
     @as_explainer
     def plain(observations: Tensor) -> Tensor:
         return torch.zeros(1)
@@ -114,7 +114,7 @@ def test_the_decorator_declares() -> None:
         ({"needs_fit": True}, "give it a method fit"),
     ],
 )
-def test_declarations_that_are_none_are_refused(declared: dict[str, Any], said: str) -> None:
+def test_invalid_declarations_are_refused(declared: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         as_explainer(attended, **declared)
     with pytest.raises(InputError, match="run the network itself"):
@@ -150,7 +150,7 @@ def test_classes_and_objects_explain_and_declare() -> None:
         as_explainer(NeedsMore)
 
 
-def test_not_batched_is_called_for_one_timestep_at_a_time() -> None:
+def test_an_unbatched_explainer_is_called_for_one_timestep_at_a_time() -> None:
     shapes: list[tuple[int, ...]] = []
 
     def one(observations: Tensor, policy: Policy, generator: torch.Generator) -> Tensor:
@@ -160,7 +160,7 @@ def test_not_batched_is_called_for_one_timestep_at_a_time() -> None:
     mask = run(one, batched=False, stochastic=True)
     assert shapes == [(3, 6)] * 4
     scale = mask.sum(dim=-1)[:, 0]
-    assert len(set(scale.tolist())) == 4  # a stream of random numbers for each timestep
+    assert len(set(scale.tolist())) == 4  # each timestep has its own random stream
     torch.testing.assert_close(mask, POLICY.attention(OBSERVATIONS) * scale[:, None, None])
     with pytest.raises(InputError, match=r"shape \(4, 3, 3\), expected \(3, 3\)"):
         run(lambda observations: torch.ones(4, 3, 3), batched=False)
@@ -180,7 +180,7 @@ def test_signed_is_normalised_by_the_harness_and_recorded(make_bundle: MakeBundl
     assert entry.explainer.signed == NORMALISER
 
 
-def test_binary_is_held_to_it() -> None:
+def test_a_binary_explainer_may_return_only_zeros_and_ones() -> None:
     assert set(run(lambda observations: torch.eye(3).expand(4, 3, 3), binary=True).unique().tolist()) == {
         0,
         1,
@@ -189,7 +189,7 @@ def test_binary_is_held_to_it() -> None:
         run(attended, binary=True)
 
 
-def test_a_black_box_only_answers() -> None:
+def test_a_black_box_has_no_parameters_layers_or_gradients() -> None:
     seen: list[Policy] = []
 
     def explain(observations: Tensor, policy: Policy) -> Tensor:
@@ -224,7 +224,7 @@ class Learner:
         return torch.sigmoid(self.mean + self.noise).expand(len(observations), 3, 3)
 
 
-def test_what_learns_is_fitted_first_and_on_a_copy() -> None:
+def test_an_explainer_that_learns_is_fitted_first_on_a_copy() -> None:
     mine = Learner()
     explainer = as_explainer(mine)
     with pytest.raises(InputError, match="'learner' has to be fitted first"):
@@ -258,8 +258,8 @@ ALGORITHMS: dict[str, Callable[[], ExplainerAlgorithm]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_algorithms_of_pyg_and_captum_are_taken_as_they_are(name: str) -> None:
-    torch.manual_seed(len(name))  # what an algorithm draws when it is made must not matter
+def test_algorithms_of_pyg_and_captum_work_unmodified(name: str) -> None:
+    torch.manual_seed(len(name))  # random numbers drawn by its constructor must not matter
     explainer = as_explainer(ALGORITHMS[name]())
     assert explainer.name == name
     assert explainer.signed == name.startswith("captum")
@@ -274,7 +274,7 @@ def test_algorithms_of_pyg_and_captum_are_taken_as_they_are(name: str) -> None:
     assert origin.entry_point.endswith(f":{type(ALGORITHMS[name]()).__name__}")
 
 
-def test_settings_of_an_algorithm_are_recorded_and_its_own() -> None:
+def test_settings_of_an_algorithm_are_recorded_and_not_overwritten_by_another() -> None:
     one = as_explainer(GraphMaskExplainer(1, epochs=2, log=False, node_feat_size=3.0))
     GraphMaskExplainer(1, node_feat_size=77.0)  # PyG keeps these on the class
     assert one.hyperparameters["node_feat_size"] == 3.0
@@ -287,7 +287,7 @@ def test_settings_of_an_algorithm_are_recorded_and_its_own() -> None:
 @pytest.mark.parametrize(
     "thing", [attended, Tempered, GNNExplainer(epochs=2), PGExplainer(epochs=1), Learner]
 )
-def test_explainers_go_to_worker_processes(thing: object) -> None:
+def test_explainers_can_be_sent_to_worker_processes(thing: object) -> None:
     explainer = fit_explainer(as_explainer(thing), POLICY, OBSERVATIONS[:2], 0)
     again: Explainer = pickle.loads(pickle.dumps(explainer))
     expected = run_explainer(explainer, POLICY, OBSERVATIONS, 1)
@@ -295,7 +295,7 @@ def test_explainers_go_to_worker_processes(thing: object) -> None:
 
 
 @pytest.mark.slow
-def test_what_was_brought_is_known_by_its_source(make_bundle: MakeBundle) -> None:
+def test_the_origin_of_an_explainer_is_recorded(make_bundle: MakeBundle) -> None:
     for thing in (attended, Tempered, Tempered(), Tempered().explain):
         origin = origin_of_explainer(as_explainer(thing))
         assert origin.entry_point == f"{__name__}:{'attended' if thing is attended else 'Tempered'}", origin

@@ -1,4 +1,4 @@
-"""Controls that know where agents are, and what the network was before it was trained."""
+"""Controls that use the agents' positions or the network before training."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def card(initial_seed: int | None) -> PolicyCard:
     )
 
 
-def test_which_there_are_depends_on_what_is_known() -> None:
+def test_initial_attention_is_a_control_if_the_card_has_the_seed() -> None:
     assert [each.name for each in controls_of(TASK, card(None))] == [*CONTROLS, NEAREST]
     assert [each.name for each in controls_of(TASK, card(4))] == [*CONTROLS, NEAREST, INITIAL_ATTENTION]
     assert all(each.control for each in controls_of(TASK, card(4)))
@@ -45,7 +45,7 @@ def test_nearest_by_hand() -> None:
     torch.testing.assert_close(mask, torch.tensor(expected))
 
 
-def test_initial_attention_is_that_of_the_untrained_network_whatever_the_policy() -> None:
+def test_initial_attention_is_that_of_the_untrained_network() -> None:
     initial = next(each for each in controls_of(TASK, card(4)) if each.name == INITIAL_ATTENTION)
     observations = random_observations(5, 3, 6)
     with torch.no_grad():

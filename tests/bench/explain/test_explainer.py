@@ -1,4 +1,4 @@
-"""Masks are checked, never repaired; policy, observations and global random state outlive any explainer."""
+"""Masks are checked, never repaired; explainers change neither policy, observations nor global state."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from xmarl_bench.policy import Policy
 
 
 @pytest.mark.parametrize("name", sorted(BAD))
-def test_a_mask_that_is_none_is_refused_with_the_explainers_name(name: str) -> None:
+def test_an_invalid_mask_is_refused_with_the_explainers_name(name: str) -> None:
     with pytest.raises(InputError) as raised:
         run_explainer(BAD[name], small_policy(6), random_observations(4, 3, 6), 0)
     message = str(raised.value)
@@ -27,7 +27,7 @@ def test_a_mask_that_is_none_is_refused_with_the_explainers_name(name: str) -> N
     assert "\n" not in message
 
 
-def test_a_good_mask_is_returned_as_it_is() -> None:
+def test_a_valid_mask_is_returned_unchanged() -> None:
     mask = torch.tensor([[[0.0, 1.0], [0.25, 0.5]]], dtype=torch.float64, requires_grad=True)
     checked = checked_mask("x", mask, 1, 2)
     assert checked.dtype == torch.float32
@@ -35,7 +35,7 @@ def test_a_good_mask_is_returned_as_it_is() -> None:
     assert torch.equal(checked, mask.detach().float())
 
 
-def test_whatever_an_explainer_does_the_policy_and_the_random_state_stay() -> None:
+def test_an_explainer_cannot_change_the_policy_or_the_random_state() -> None:
     policy, observations = small_policy(6), random_observations(4, 3, 6)
     before = {key: tensor.clone() for key, tensor in policy.state_dict().items()}
     action, seen = policy.distribution(observations).action.detach(), observations.clone()
@@ -52,7 +52,7 @@ def test_whatever_an_explainer_does_the_policy_and_the_random_state_stay() -> No
     assert torch.equal(first, run_explainer(vandal, policy, observations, 9))
 
 
-def test_global_state_of_other_libraries_is_seeded_and_put_back() -> None:
+def test_global_state_of_other_libraries_is_seeded_and_restored() -> None:
     drawn: list[float] = []
 
     def explain(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
@@ -74,7 +74,7 @@ def test_global_state_of_other_libraries_is_seeded_and_put_back() -> None:
 
 
 @pytest.mark.parametrize("grad", [torch.enable_grad, torch.no_grad, torch.inference_mode])
-def test_explainers_may_differentiate_wherever_they_are_called(grad: type[torch.no_grad]) -> None:
+def test_explainers_can_differentiate_inside_no_grad_and_inference_mode(grad: type[torch.no_grad]) -> None:
     def explain(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
         mask = torch.full((2, 3, 3), 0.5, requires_grad=True)
         policy.distribution(observations, mask).action.sum().backward()
@@ -86,7 +86,7 @@ def test_explainers_may_differentiate_wherever_they_are_called(grad: type[torch.
     assert float(mask.std()) > 0
 
 
-def test_controls_are_what_they_say() -> None:
+def test_controls_have_their_values() -> None:
     observations = random_observations(200, 4, 6)
     ones = run_explainer(CONTROLS["all-ones"], small_policy(6), observations, 0)
     random = run_explainer(CONTROLS["random"], small_policy(6), observations, 0)

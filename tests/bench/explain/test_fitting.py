@@ -20,7 +20,7 @@ from xmarl_bench.scoring.score import entries_of, score_requests
 
 pytestmark = pytest.mark.slow
 
-FITTED: list[tuple[float, Tensor]] = []  # what every fit was given
+FITTED: list[tuple[float, Tensor]] = []  # the weight and states of every fit
 
 
 class Learner:
@@ -36,7 +36,7 @@ class Learner:
         return torch.sigmoid(self.shift + torch.cdist(observations[..., :2], observations[..., :2]))
 
 
-def test_states_are_of_other_episodes_than_any_score() -> None:
+def test_states_are_from_episodes_that_no_score_plays() -> None:
     assert FIRST_FIT_SEED + FIT_EPISODES <= 2**31 < FIRST_SEED
     policy, cell = small_policy(6), Cell("blind_navigation_v0", 3)
     states = fit_states(policy, cell.task, cell.n_agents)

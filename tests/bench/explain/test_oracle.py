@@ -1,4 +1,4 @@
-"""The oracle against brute force over whole masks, and its limits."""
+"""The oracle against brute force over whole masks, and its limit."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def fid_delta(policy: GraphPolicy, observations: torch.Tensor, mask: torch.Tenso
     return prediction_change(full, dropped) - prediction_change(full, kept)
 
 
-def test_rows_are_the_bits_of_their_number() -> None:
+def test_rows_are_the_bits_of_their_index() -> None:
     rows = binary_rows(3)
     assert rows.tolist()[:4] == [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
     assert rows[-1].tolist() == [1, 1, 1]
@@ -46,7 +46,7 @@ def test_rows_are_the_bits_of_their_number() -> None:
 
 
 @with_and_without_residual
-def test_the_table_is_the_formula_row_by_row(residual: bool) -> None:
+def test_the_table_equals_the_formula_row_by_row(residual: bool) -> None:
     policy, observations = small_policy(5, 1, residual=residual), random_observations(2, 3, 5)
     with torch.no_grad():
         ((steps, table),) = action_tables(policy, observations)
@@ -94,7 +94,7 @@ def test_the_best_row_by_hand() -> None:
     assert best_rows(change).tolist() == [[1]]  # 0.6 - 0.1, against 0.2 - 0.0
 
 
-def test_chunks_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunks_change_only_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
     policy, observations = small_policy(6, 2), random_observations(50, 4, 6)
     with torch.no_grad():
         whole = change_table(policy, observations)
@@ -109,7 +109,7 @@ def test_chunks_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @with_and_without_residual
-def test_soft_ascent_gains_where_there_is_something_to_gain(residual: bool) -> None:
+def test_soft_ascent_improves_on_the_binary_oracle(residual: bool) -> None:
     policy, observations = small_policy(6, 3, residual=residual), random_observations(50, 3, 6)
     hard, soft = (
         fid_delta(policy, observations, explain(policy, observations, torch.Generator())).mean()

@@ -1,4 +1,4 @@
-"""The adapter: any algorithm of torch_geometric.explain, unmodified, and Captum's through it."""
+"""The adapter for unmodified algorithms of torch_geometric.explain, and for Captum's through it."""
 
 from __future__ import annotations
 
@@ -61,12 +61,12 @@ def test_every_algorithm_of_pyg_runs_unmodified_and_repeats(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["attention", "gnn", "pg", "IntegratedGradients"])
-def test_policies_of_several_layers_too(name: str) -> None:
+def test_algorithms_explain_policies_of_several_layers(name: str) -> None:
     mask = run_explainer(Explainer(name, EVERY[name]), two_layers(6), random_observations(2, 3, 6), 1)
     assert float(mask.std()) > 0
 
 
-def test_rows_and_columns_are_kept_apart() -> None:
+def test_rows_are_receivers_and_columns_senders() -> None:
     policy, observations = small_policy(6, 1), random_observations(3, 4, 6)
     alpha = policy.attention(observations).detach()
     for adapter in (PygExplain(AttentionExplainer), PygExplain(AttentionExplainer, per_agent=True)):
@@ -75,7 +75,7 @@ def test_rows_and_columns_are_kept_apart() -> None:
     assert not torch.allclose(alpha, alpha.mT, atol=1e-2)
 
 
-def test_a_row_explained_for_its_agent_alone_depends_on_that_agent_alone() -> None:
+def test_a_row_explained_for_one_agent_depends_only_on_that_agent() -> None:
     policy, observations = small_policy(6, 1), random_observations(1, 3, 6)
     mask = EVERY["gnn per agent"](policy, observations, torch.Generator().manual_seed(0))
     assert mask.shape == (1, 3, 3)
@@ -85,8 +85,8 @@ def test_a_row_explained_for_its_agent_alone_depends_on_that_agent_alone() -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
 @pytest.mark.parametrize("method", CAPTUM)
-def test_captum_is_asked_about_the_sum_of_effects(method: str, residual: bool) -> None:
-    """The effect of a message is that on its receiver: rows do not mix in a policy of one layer."""
+def test_captum_explains_the_sum_of_effects(method: str, residual: bool) -> None:
+    """A message has an effect only on its receiver: rows do not mix in a policy of one layer."""
     policy, observations = small_policy(6, 2, residual=residual), random_observations(1, 4, 6)
     adapter = PygExplain(lambda: CaptumExplainer(method), effect=True)
     whole = adapter(policy, observations, torch.Generator().manual_seed(3))
@@ -94,14 +94,14 @@ def test_captum_is_asked_about_the_sum_of_effects(method: str, residual: bool) -
         full, nothing = (
             policy.distribution(observations, mask).action for mask in (None, torch.zeros(1, 4, 4))
         )
-    if method in ("IntegratedGradients", "ShapleyValueSampling"):  # complete ones
+    if method in ("IntegratedGradients", "ShapleyValueSampling"):  # complete methods
         total = (full - nothing).abs().mean(dim=-1)
         torch.testing.assert_close(whole.sum(dim=-1), total, rtol=0, atol=2e-3)
     else:
         assert bool(whole.isfinite().all())
 
 
-def test_settings_that_pyg_keeps_on_its_classes_are_put_back() -> None:
+def test_settings_that_pyg_keeps_on_its_classes_are_restored() -> None:
     before = copy.deepcopy((GraphMaskExplainer.coeffs, PGExplainer.coeffs))
     with class_settings_kept():
         GraphMaskExplainer(1, node_feat_size=9.0)
@@ -111,7 +111,7 @@ def test_settings_that_pyg_keeps_on_its_classes_are_put_back() -> None:
     assert (GraphMaskExplainer.coeffs, PGExplainer.coeffs) == before
 
 
-def test_graphs_do_not_leak_into_one_another() -> None:
+def test_a_graph_s_mask_does_not_depend_on_other_graphs() -> None:
     policy, observations = small_policy(6, 3), random_observations(3, 3, 6)
     explain: Callable[[Policy, torch.Tensor, torch.Generator], torch.Tensor] = EVERY["gnn"]
     one = explain(policy, observations, torch.Generator().manual_seed(1))
@@ -124,7 +124,7 @@ def test_graphs_do_not_leak_into_one_another() -> None:
 
 @pytest.mark.parametrize("name", ["attention", "gnn", "pg", "Saliency"])
 def test_the_graph_is_the_policys_own(name: str) -> None:
-    """A chain: 0 <-> 1 <-> 2, where nobody hears from one end to the other."""
+    """A chain 0 <-> 1 <-> 2, without edges between its ends."""
     policy = two_layers(6)
     policy.graph = FixedGraph(n_agents=3, edges=((0, 1), (1, 0), (1, 2), (2, 1)))
     observations = random_observations(2, 3, 6)

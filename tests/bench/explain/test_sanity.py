@@ -1,4 +1,4 @@
-"""Checks of explainers: stable between seeds, and dependent on what the policy learned."""
+"""Sanity of explainers: stability between seeds, and dependence on the policy's weights."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ def checks(explainer: Explainer) -> tuple[float, float]:
     )
 
 
-def test_what_ignores_the_seed_is_stable_and_what_ignores_the_policy_fails() -> None:
+def test_ignoring_the_seed_is_stable_and_ignoring_the_policy_fails() -> None:
     stability, randomised = checks(NEAREST)
     assert math.isclose(stability, 1.0)
-    assert math.isclose(randomised, 1.0)  # explains the observations, whatever the policy is
+    assert math.isclose(randomised, 1.0)  # depends only on the observations
     stability, randomised = checks(ATTENDED)
     assert math.isclose(stability, 1.0)
     assert randomised < 0.9
 
 
-def test_noise_is_neither_stable_nor_dependent_on_anything() -> None:
+def test_noise_is_neither_stable_nor_dependent_on_weights() -> None:
     stability, randomised = checks(CONTROLS["random"])
     assert abs(stability) < 0.15  # 3 pairs of 300 rows
     assert abs(randomised) < 0.25
 
 
-def test_masks_that_rank_nothing_have_neither() -> None:
+def test_masks_that_rank_nothing_have_no_values() -> None:
     assert all(math.isnan(value) for value in checks(CONTROLS["all-ones"]))
 
 
-def test_shuffling_keeps_every_weight_and_its_tensor() -> None:
+def test_shuffling_keeps_every_weight_in_its_tensor() -> None:
     policy = small_policy(6)
     before = {name: tensor.clone() for name, tensor in policy.state_dict().items()}
     shuffled = shuffled_weights(policy, 3).state_dict()

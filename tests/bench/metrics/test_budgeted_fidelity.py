@@ -37,7 +37,7 @@ def score_of(change: Floats, mask: NDArray[np.floating]) -> float:
 
 
 def changes(n_senders: int, seed: int, n_steps: int = 4, n_receivers: int = 3) -> Floats:
-    """(R, S, N) of a policy that does whatever it likes, with d(everything kept) = 0."""
+    """(R, S, N) random changes, with d(everything kept) = 0."""
     change = np.random.default_rng(seed).random((2**n_senders, n_steps, n_receivers))
     change[-1] = 0.0
     return change
@@ -47,7 +47,7 @@ def changes(n_senders: int, seed: int, n_steps: int = 4, n_receivers: int = 3) -
 BY_HAND = np.array([1.0, 0.4, 0.8, 0.3, 0.9, 0.2, 0.7, 0.0]).reshape(8, 1, 1)
 
 
-def test_the_pieces_by_hand() -> None:
+def test_the_parts_by_hand() -> None:
     delta = fid_delta_table(BY_HAND)
     # {0}: d{1,2} - d{0} = 0.7 - 0.4; {1}: 0.2 - 0.8; {2}: 0.3 - 0.9; pairs are minus their complements.
     np.testing.assert_allclose(delta[[1, 2, 4, 6, 5, 3], 0, 0], [0.3, -0.6, -0.6, -0.3, 0.6, 0.6], atol=1e-12)
@@ -64,13 +64,13 @@ def test_the_pieces_by_hand() -> None:
 
 def test_ratio_of_means_not_mean_of_ratios() -> None:
     small = BY_HAND * 0.01
-    change = np.concatenate([BY_HAND, small], axis=1)  # a timestep that matters, one that hardly does
+    change = np.concatenate([BY_HAND, small], axis=1)  # a timestep with large changes and one with small ones
     best, worst = [0.9, 0.2, 0.5], [0.2, 0.9, 0.5]
     mixed = score_of(change, np.array([[best], [worst]]))
     assert mixed == pytest.approx((1.0 + 0.01 * -1.25) / 1.01)
 
 
-def test_nothing_to_rank_is_not_a_number() -> None:
+def test_without_a_valid_budget_the_value_is_nan() -> None:
     mask = np.random.default_rng(0).random((4, 3, 3))
     assert np.isnan(score_of(np.zeros((8, 4, 3)), mask))
     assert np.isnan(score_of(changes(3, 0) * 1e-4, mask))
@@ -88,7 +88,7 @@ def test_one_sender_has_no_budget() -> None:
 
 
 @given(n_senders=st.integers(2, 5), seed=st.integers(0, 10**6))
-def test_at_most_one_and_one_for_the_best_ranking(n_senders: int, seed: int) -> None:
+def test_values_are_at_most_one_and_one_for_the_best_ranking(n_senders: int, seed: int) -> None:
     change = changes(n_senders, seed)
     mask = np.random.default_rng(seed + 1).random((4, 3, n_senders))
     assert score_of(change, mask) <= 1.0 + 1e-12
@@ -105,7 +105,7 @@ def test_at_most_one_and_one_for_the_best_ranking(n_senders: int, seed: int) -> 
     seed=st.integers(0, 10**6),
     power=st.floats(0.2, 5.0),
 )
-def test_no_monotone_change_of_a_mask_moves_it(values: list[int], seed: int, power: float) -> None:
+def test_a_monotone_change_of_a_mask_does_not_change_it(values: list[int], seed: int, power: float) -> None:
     mask = np.array(values).reshape(4, 3, 4) / 6
     change = changes(4, seed)
     before = score_of(change, mask)
@@ -139,7 +139,7 @@ def test_ties_are_averaged_over_all_ways_to_choose(values: list[int], seed: int)
     np.testing.assert_allclose(explained, expected, atol=1e-12)
 
 
-def test_the_exact_mean_is_that_of_all_subsets() -> None:
+def test_the_exact_mean_equals_the_mean_over_all_subsets() -> None:
     delta = fid_delta_table(changes(5, 3))
     for k in range(1, 5):
         rows = [sum(1 << j for j in chosen) for chosen in combinations(range(5), k)]
@@ -155,7 +155,7 @@ def actions(policy: GraphPolicy, observations: torch.Tensor, mask: torch.Tensor 
 
 @pytest.mark.parametrize("n_agents", [3, 4, 5])
 def test_the_table_agrees_with_masked_forwards(n_agents: int) -> None:
-    """FidDelta@k read off the table is FidDelta of the binary mask, run through the policy as any other."""
+    """FidDelta@k from the table equals FidDelta of the binary mask run through the policy."""
     policy, observations = small_policy(5, 1), random_observations(6, n_agents, 5)
     change = change_table(policy, observations)
     mask = np.random.default_rng(0).random((6, n_agents, n_agents))
@@ -179,5 +179,5 @@ def test_the_table_agrees_with_masked_forwards(n_agents: int) -> None:
 def test_other_senders_by_hand() -> None:
     mask = np.arange(9.0).reshape(1, 3, 3)
     assert other_senders(mask).tolist() == [[[1.0, 2.0], [3.0, 5.0], [6.0, 7.0]]]
-    change = np.arange(8.0).reshape(8, 1, 1) * np.ones((1, 1, 3))  # an entry tells its own row
+    change = np.arange(8.0).reshape(8, 1, 1) * np.ones((1, 1, 3))  # each value is its row index
     assert others_table(change)[:, 0].T.tolist() == [[1, 3, 5, 7], [2, 3, 6, 7], [4, 5, 6, 7]]

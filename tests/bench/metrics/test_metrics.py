@@ -1,4 +1,4 @@
-"""Metrics against numbers worked out by hand and against torch.distributions."""
+"""Metrics against values computed by hand and against torch.distributions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_fidelity_by_hand() -> None:
     np.testing.assert_allclose(result.delta, [0.45])
 
 
-def test_fidelity_averages_agents_and_leaves_timesteps_apart() -> None:
+def test_fidelity_averages_over_agents_and_not_over_timesteps() -> None:
     full = np.zeros((3, 2, 2))
     kept = np.arange(3.0).reshape(3, 1, 1) * np.ones((3, 2, 2))
     assert fidelity(full, kept, full).minus.tolist() == [0.0, 1.0, 2.0]
@@ -57,7 +57,7 @@ def test_kl_by_hand() -> None:
     assert kl == pytest.approx(math.log(2) + 0.25 - 0.5, abs=1e-12)
 
 
-def test_kl_has_the_direction_of_the_definition() -> None:
+def test_kl_is_from_full_to_masked() -> None:
     p, q = (np.array([0.0]), np.array([1.0])), (np.array([1.0]), np.array([2.0]))
     forward, reverse = kl_divergence(*p, *q), kl_divergence(*q, *p)
     assert forward == pytest.approx(math.log(2) - 0.25)
@@ -83,7 +83,7 @@ def test_unfaithfulness_is_per_agent_not_joint() -> None:
     np.testing.assert_allclose(graph_explanation_unfaithfulness(kl), [0.25, 0.5])
 
 
-def test_unfaithfulness_keeps_small_divergences() -> None:
+def test_unfaithfulness_is_accurate_for_small_divergences() -> None:
     assert graph_explanation_unfaithfulness(np.array([1e-20])) == pytest.approx(1e-20)
 
 
@@ -107,18 +107,18 @@ def test_attention_distance_by_hand() -> None:
         lambda n: st.lists(st.lists(st.floats(-9, 9), min_size=n, max_size=n), min_size=n, max_size=n)
     )
 )
-def test_attention_distance_is_bounded_as_the_paper_says(logits: list[list[float]]) -> None:
+def test_attention_distance_is_at_least_the_paper_s_bound(logits: list[list[float]]) -> None:
     alpha = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
     n = len(alpha)
     distance = float(attention_distance(alpha))
     assert abs(2 * n - n**2) - 1e-9 <= distance <= n**2 + 1e-9
     assert attention_distance(np.full((n, n), 1 / n)) == pytest.approx(abs(2 * n - n**2))
-    # In full: the bound is left only as far as a row's largest coefficient exceeds one half.
+    # The excess over the bound is by how much each row's largest coefficient exceeds one half.
     excess = np.maximum(0.0, alpha.max(axis=1) - 0.5).sum()
     assert distance == pytest.approx(n**2 - 2 * n + 4 * excess)
 
 
-def test_uniform_attention_is_not_alone_at_the_lower_bound() -> None:
+def test_uniform_attention_is_not_the_only_one_at_the_lower_bound() -> None:
     peaked = np.tile([0.5, 0.5, 0.0], (3, 1))  # less entropy than uniform, the same distance
     assert attention_distance(peaked) == 3.0
     assert attention_distance(np.full((3, 3), 1 / 3)) == pytest.approx(3.0)
@@ -130,7 +130,7 @@ def test_rank_correlation_by_hand() -> None:
     assert rank_correlation(a, -a) == pytest.approx(-1.0)
     # Centred ranks (-1, 0, 1) and, with a tie, (-0.5, -0.5, 1): (0.5 + 1) / sqrt(2 * 1.5).
     assert rank_correlation(a[:1], np.array([[0.0, 0.0, 0.9]])) == pytest.approx(1.5 / math.sqrt(3))
-    # Pooled: rows (-1, 0, 1) against the same and against (1, 0, -1) weigh alike.
+    # Pooled: rows (-1, 0, 1) against the same and against (1, 0, -1) have equal weight.
     assert rank_correlation(np.tile(a[0], (2, 1)), np.array([a[0], -a[0]])) == pytest.approx(0.0)
 
 
@@ -150,7 +150,7 @@ def test_mask_mass_by_hand() -> None:
     np.testing.assert_array_equal(mask_mass(masks), [0.5, 1.0])
 
 
-def test_nan_goes_through() -> None:
+def test_nan_is_propagated() -> None:
     full = np.zeros((2, 1, 2))
     kept = full.copy()
     kept[1, 0, 0] = np.nan

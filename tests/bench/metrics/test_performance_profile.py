@@ -1,4 +1,4 @@
-"""Performance profiles: by hand, by the definition on runs of several tasks, and how often bands cover."""
+"""Performance profiles: by hand, by their definition over several tasks, and the coverage of bands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def share_above(profile: Profile, tau: float) -> float:
     return profile.shares[int(np.searchsorted(profile.taus, tau, side="right"))]
 
 
-def test_by_hand() -> None:
+def test_a_profile_by_hand() -> None:
     profile = performance_profile([0.5, 0.2, math.nan, 0.5, 0.9])
     assert profile.taus == (0.2, 0.5, 0.9)
     assert profile.shares == (1.0, 0.75, 0.25, 0.0)
@@ -31,10 +31,10 @@ def test_by_hand() -> None:
     assert performance_profile([]) == Profile((), (0.0,), ((0.0, 1.0),))
 
 
-def test_it_is_rliables() -> None:
-    """rliable 1.2.0, four runs of three tasks: what its library and metrics say of these matrices.
+def test_profiles_equal_those_of_rliable() -> None:
+    """Results of rliable 1.2.0 on these matrices of four runs of three tasks.
 
-    Its dependencies (arch with pandas 3) do not import together, so it is no dependency of the tests.
+    Its dependencies (arch with pandas 3) do not import together, so the tests cannot depend on it.
     """
     one = [[0.13, -0.13, 0.64], [0.10, -0.54, 0.36], [1.30, 0.95, -0.70], [-1.27, -0.62, 0.04]]
     other = [[-2.33, -0.22, -1.25], [-0.73, -0.54, -0.32], [0.41, 1.04, -0.13], [1.37, -0.67, 0.35]]
@@ -47,23 +47,23 @@ def test_it_is_rliables() -> None:
 
 
 @given(TASKS, st.floats(-4, 4))
-def test_it_is_the_mean_over_tasks_of_the_share_of_runs_above_tau(
+def test_a_profile_is_the_mean_over_tasks_of_the_share_of_runs_above_tau(
     scores: list[list[int]], tau: float
 ) -> None:
-    """Of tasks with as many runs each: the definition of the paper."""
+    """The paper's definition, for tasks with equally many runs."""
     matrix = np.array(scores, dtype=np.float64)  # (tasks, runs)
     expected = np.mean([np.mean(task > tau) for task in matrix])
     assert share_above(performance_profile(matrix.ravel()), tau) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 1), (1, 1), (2, 3), (3, 3), (4, 9), (0, 9)])
-def test_the_band_is_scipys_exact_interval(successes: int, trials: int) -> None:
+def test_the_band_equals_scipy_s_exact_interval(successes: int, trials: int) -> None:
     theirs = stats.binomtest(successes, trials).proportion_ci(0.95, method="exact")
     assert share_interval(successes, trials) == pytest.approx((theirs.low, theirs.high))
 
 
 def chances(each: Sequence[float]) -> np.ndarray:
-    """(G + 1,): the chance that k of the runs lie above tau, where each does with its own chance."""
+    """(G + 1,): the probability that k of the runs are above tau, given each run's probability."""
     total = np.ones(1)
     for p in each:
         total = np.convolve(total, [1.0 - p, p])
@@ -71,8 +71,8 @@ def chances(each: Sequence[float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("runs", [1, 3, 5, 9])
-def test_bands_cover_as_often_as_they_say(runs: int) -> None:
-    """Counted over every outcome, no simulation: for runs that are alike and for runs of unlike cells."""
+def test_bands_have_their_nominal_coverage(runs: int) -> None:
+    """Computed over all outcomes without simulation, for equal runs and for runs of different cells."""
     bands = np.array([share_interval(k, runs) for k in range(runs + 1)])
     rng = np.random.default_rng(runs)
     alike = [np.full(runs, p) for p in np.linspace(0.0, 1.0, 101)]
@@ -82,8 +82,8 @@ def test_bands_cover_as_often_as_they_say(runs: int) -> None:
         assert chances(each.tolist())[held].sum() >= 0.95
 
 
-def test_a_bootstrap_of_few_runs_would_not() -> None:
-    """Three runs that are all above tau: their bootstrap is sure that every run is."""
+def test_a_bootstrap_of_few_runs_does_not_cover() -> None:
+    """If three runs are all above tau, their bootstrap interval has no width."""
     assert share_interval(3, 3)[0] == pytest.approx(0.292, abs=1e-3)
-    missed = sum(chances([0.8] * 3)[[0, 3]])  # resampling 0 or 3 of 3 gives the same again
+    missed = sum(chances([0.8] * 3)[[0, 3]])  # resampling 0 of 3 or 3 of 3 changes nothing
     assert missed > 0.5

@@ -1,4 +1,4 @@
-"""Intervals and tests: by hand, by scipy, and by how often they are right."""
+"""Intervals and tests: by hand, by scipy, and by their coverage and error rates."""
 
 from __future__ import annotations
 
@@ -33,29 +33,29 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def test_a_constant_difference_has_an_interval_of_no_width() -> None:
+def test_a_constant_difference_has_an_interval_of_width_zero() -> None:
     a = np.array([0.5, 1.5, 2.5])
     assert over_units([a], [a - 0.25]) == Difference(0.25, (0.25, 0.25), 0.0, 3, 3, 0)
     assert over_units([a], [a]) == Difference(0.0, (0.0, 0.0), 1.0, 3, 3, 0)
 
 
-def test_pairs_matter_not_the_spread_of_the_episodes() -> None:
+def test_intervals_are_of_paired_differences_not_of_episodes() -> None:
     episodes = rng(1).normal(0, 10, 50)
     a, b = episodes + rng(2).normal(0.2, 0.1, 50), episodes
     assert not over_units([a], [b]).holds_zero
     assert over_units([a], [rng(3).permutation(b)]).holds_zero
 
 
-def test_what_is_not_a_number_is_left_out_of_its_pair_and_counted() -> None:
+def test_a_pair_with_nan_is_left_out_and_counted() -> None:
     difference = over_units([[1.0, np.nan, 3.0, 5.0]], [[0.0, 1.0, np.nan, 4.0]])
     assert (difference.value, difference.n, difference.n_nan) == (1.0, 2, 2)
     assert over_units([[np.nan]], [[1.0]]) == Difference(None, None, None, 0, 0, 1)
     one = over_units([[2.0, np.nan]], [[1.0, 1.0]])
     assert one == Difference(1.0, None, None, 1, 1, 1)
-    assert one.holds_zero  # one episode proves nothing
+    assert one.holds_zero  # a single episode decides nothing
 
 
-def test_episodes_of_one_policy_are_its_units_and_it_is_one_run() -> None:
+def test_the_units_of_a_single_policy_are_its_episodes() -> None:
     a, b = rng(4).normal(1, 1, 40), rng(5).normal(0.7, 1, 40)
     ours, theirs = over_units([a], [b]), stats.ttest_rel(a, b)
     assert ours.interval == pytest.approx(tuple(theirs.confidence_interval(0.95)))
@@ -65,7 +65,7 @@ def test_episodes_of_one_policy_are_its_units_and_it_is_one_run() -> None:
     assert (alone.value, alone.interval, alone.p, alone.units) == (ours.value, None, None, 1)
 
 
-def test_runs_are_the_units_whatever_the_number_of_their_episodes() -> None:
+def test_runs_are_the_units_for_any_number_of_episodes() -> None:
     a = [rng(k).normal(k, 1, 10 + k) for k in range(4)]
     b = [rng(9 + k).normal(0, 1, 10 + k) for k in range(4)]
     ours, means = over_runs(a, b), [float((x - y).mean()) for x, y in zip(a, b, strict=True)]
@@ -88,8 +88,8 @@ def runs_of_a_cell(n_runs: int, spread: float, n_cells: int = 20_000) -> np.ndar
 
 @pytest.mark.parametrize("n_runs", [3, 5])
 @pytest.mark.parametrize("spread", [0.0, 0.3, 1.0])
-def test_intervals_cover_as_often_as_they_say(n_runs: int, spread: float) -> None:
-    """And nothing is found more often than one time in twenty where there is nothing, either way."""
+def test_intervals_have_their_nominal_coverage(n_runs: int, spread: float) -> None:
+    """And without a difference, one is found at most one time in twenty."""
     units = runs_of_a_cell(n_runs, spread)
     low, high = student_interval(units)
     assert 0.93 <= np.mean((low <= 0.0) & (high >= 0.0)) <= 0.97
@@ -99,14 +99,14 @@ def test_intervals_cover_as_often_as_they_say(n_runs: int, spread: float) -> Non
     assert np.mean(found & ~above) <= 0.05
 
 
-def test_a_bootstrap_of_three_runs_would_not() -> None:
-    """What the intervals were before: the reason for Student's."""
+def test_a_bootstrap_of_three_runs_does_not_cover() -> None:
+    """The reason for Student's intervals."""
     units = runs_of_a_cell(3, 1.0, n_cells=400)
     intervals = [percentile_interval(each, rng(), resamples=300) for each in units]
     assert np.mean([low <= 0.0 <= high for low, high in intervals]) < 0.87
 
 
-def test_the_percentile_interval_is_scipys_and_stays_in_the_range() -> None:
+def test_the_percentile_interval_equals_scipy_s_and_is_in_the_range() -> None:
     x = rng(4).normal(1, 1, 40)
     ours = percentile_interval(x, rng(), resamples=40_000)
     theirs = stats.bootstrap((x,), np.mean, method="percentile", n_resamples=40_000, rng=rng(6))
@@ -117,7 +117,7 @@ def test_the_percentile_interval_is_scipys_and_stays_in_the_range() -> None:
     assert percentile_interval(x, rng(1)) == percentile_interval(x, rng(1)) != percentile_interval(x, rng(2))
 
 
-def test_arrays_that_are_no_pairs_are_refused() -> None:
+def test_arrays_of_different_lengths_are_refused() -> None:
     with pytest.raises(InputError, match="cannot be paired"):
         over_units([[1.0, 2.0]], [[1.0, 2.0, 3.0]])
     with pytest.raises(InputError, match="cannot be paired"):
@@ -131,19 +131,19 @@ def test_percentiles_by_hand() -> None:
 @given(
     arrays(np.float64, 12, elements=st.integers(-3, 3)), arrays(np.float64, 9, elements=st.integers(-3, 3))
 )
-def test_rank_biserial_counts_pairs(a: np.ndarray, b: np.ndarray) -> None:
+def test_rank_biserial_equals_a_count_of_pairs(a: np.ndarray, b: np.ndarray) -> None:
     assert rank_biserial(a, b) == pytest.approx(float(np.sign(a[:, None] - b[None, :]).mean()))
     assert rank_biserial([*a, np.nan], b) == rank_biserial(a, b)
     assert rank_biserial([np.nan], b) is None
 
 
 @given(arrays(np.float64, st.integers(1, 30), elements=st.floats(-5, 5)))
-def test_the_interquartile_mean_is_scipys(x: np.ndarray) -> None:
+def test_the_interquartile_mean_equals_scipy_s(x: np.ndarray) -> None:
     assert interquartile_mean(x) == pytest.approx(float(stats.trim_mean(x, 0.25)))
 
 
 def test_probability_of_improvement_by_hand() -> None:
-    """In one cell 3 of 4 pairs and a tie; in the other none: the mean of 0.875 and 0."""
+    """3 of 4 pairs and a tie in one cell, none in the other: the mean of 0.875 and 0."""
     a, b = {"one": [2.0, 3.0], "other": [0.0]}, {"one": [1.0, 2.0], "other": [1.0]}
     assert probability_of_improvement(a, b) == pytest.approx((3.5 / 4 + 0.0) / 2)
     assert probability_of_improvement(b, a) == pytest.approx(1.0 - 0.4375)
@@ -158,15 +158,15 @@ def test_bonferroni_and_holm_by_hand() -> None:
 
 
 @given(P_VALUES)
-def test_holm_lies_between_p_and_bonferroni_and_keeps_the_order(p: np.ndarray) -> None:
+def test_holm_is_between_p_and_bonferroni_and_keeps_the_order(p: np.ndarray) -> None:
     adjusted = holm(p)
     assert bool(((p <= adjusted) & (adjusted <= bonferroni(p))).all())
     assert bool((np.diff(adjusted[np.argsort(p, kind="stable")]) >= 0).all())
     assert adjusted[np.argmin(p)] == bonferroni(p)[np.argmin(p)]
 
 
-def test_groups_are_told_by_their_head() -> None:
-    """A chain of small steps is not one group: each is near the one before, but no longer near the head."""
+def test_groups_are_compared_with_their_first_member() -> None:
+    """A chain of small steps is not one group: later members are near each other but not near the first."""
     values = [1.0, 0.9, 0.5, 0.45, 0.0]
     assert groups_by_head(5, lambda head, k: values[head] - values[k] < 0.3) == [0, 0, 1, 1, 2]
     chain = [-0.2 * k for k in range(5)]

@@ -1,4 +1,4 @@
-"""A metric is stated once, in its row: all else derives from it."""
+"""A metric is declared once, in its row; everything else derives from it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NAMING = {
     "board/assets/index.js": "what the page shows first, and of a policy",
 }
 PAPER = "papers/kailas2025/"  # its statements are about certain metrics
-# A field of a policy that has the name of a metric is none.
+# Fields of a policy with the name of a metric.
 NAMES = set(names_of(*Group)) - set(PolicyRecord.model_fields)
 
 ADD_A_METRIC = """
@@ -66,8 +66,8 @@ print(json.dumps({
 
 
 @pytest.mark.slow
-def test_a_row_is_all_that_a_new_metric_needs() -> None:
-    """In a process of its own: the models are made when they are imported."""
+def test_a_new_metric_needs_only_a_row() -> None:
+    """In its own process, because the models are created on import."""
     ran = subprocess.run([sys.executable, "-c", ADD_A_METRIC], cwd=ROOT, capture_output=True, check=True)
     assert json.loads(ran.stdout) == {
         "row": {"maximum": 1.000001, "minimum": -1e-06, "type": "number"},
@@ -90,7 +90,7 @@ def test_no_other_file_names_a_metric(ending: str) -> None:
 
 
 def named_in(path: Path) -> set[str]:
-    """Metrics that a file names: in strings of Python, anywhere else."""
+    """Metrics named in a file: in strings for Python, anywhere for other files."""
     text = path.read_text(encoding="utf-8")
     if path.suffix != ".py":
         return NAMES & set(re.findall(r"\w+", text))
@@ -98,7 +98,7 @@ def named_in(path: Path) -> set[str]:
     return NAMES & {value for value in constants if isinstance(value, str)}
 
 
-def test_names_and_headings_are_told_apart() -> None:
+def test_names_and_headings_are_unique() -> None:
     assert len(by_name()) == len(METRICS)
     for heading in ("title", "column_heading", "short"):
         headings = [value for metric in METRICS if (value := getattr(metric, heading)) is not None]
@@ -114,7 +114,7 @@ def test_models_have_the_metrics_of_the_table_and_definitions_are_complete() -> 
         assert metric.name in DEFINITIONS or f"{metric.name.split('_')[0]}_*" in DEFINITIONS, metric.name
 
 
-def test_a_value_out_of_its_range_is_refused() -> None:
+def test_a_value_outside_its_range_is_refused() -> None:
     inside = {
         metric.name: 0.5 * ((metric.range.low or 0.0) + (metric.range.high or 0.0))
         for metric in METRICS
@@ -133,7 +133,7 @@ def test_a_value_out_of_its_range_is_refused() -> None:
                     ExplanationRow.model_validate({**inside, metric.name: edge + step})
 
 
-def test_a_variant_is_better_where_its_metric_is() -> None:
+def test_a_variant_has_the_direction_of_its_metric() -> None:
     for name, metric in by_name().items():
         base = by_name().get(re.sub("^comm_", "", name))
         assert base is None or (base.direction, base.range) == (metric.direction, metric.range), name

@@ -1,4 +1,4 @@
-"""`path/to/file.py:Name` and `module:Name`: what is loaded, what is recorded of it, what is refused."""
+"""References `path/to/file.py:Name` and `module:Name` are loaded and recorded, or refused."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_functions_classes_and_objects_of_a_file(file: Path) -> None:
+def test_functions_classes_and_objects_of_a_file_are_loaded(file: Path) -> None:
     digest = hashlib.sha256(CODE.encode()).hexdigest()
     for name, known, scale in (
         ("nearest", "nearest", None),
@@ -59,7 +59,7 @@ def test_functions_classes_and_objects_of_a_file(file: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_module_is_known_by_its_package() -> None:
+def test_a_module_s_origin_is_its_package() -> None:
     explainer = find_explainer("torch_geometric.explain:DummyExplainer")
     assert explainer.name == "dummy-explainer"
     origin = origin_of_explainer(explainer)
@@ -76,7 +76,7 @@ def test_a_changed_file_is_loaded_again(file: Path) -> None:
     assert origin.code_sha256 != changed.code_sha256
 
 
-def test_two_files_of_one_name_do_not_mix(file: Path, tmp_path: Path) -> None:
+def test_two_files_of_one_name_are_kept_apart(file: Path, tmp_path: Path) -> None:
     other = tmp_path / "deeper" / "own.py"
     other.parent.mkdir()
     other.write_text(CODE.replace("0.25", "0.75"))
@@ -84,7 +84,7 @@ def test_two_files_of_one_name_do_not_mix(file: Path, tmp_path: Path) -> None:
     assert scales == [0.25, 0.75, 0.25]
 
 
-def test_a_file_takes_no_modules_place(file: Path) -> None:
+def test_a_file_does_not_shadow_a_module(file: Path) -> None:
     named = file.with_name("json.py")
     named.write_text(CODE)
     assert origin_of_explainer(find_explainer(f"{named}:half")).entry_point == "json.py:half"
@@ -105,7 +105,7 @@ def test_a_file_takes_no_modules_place(file: Path) -> None:
         ("math:sqrt", "name its parameters"),
     ],
 )
-def test_what_does_not_load_is_one_sentence(reference: str, said: str, file: Path) -> None:
+def test_a_failure_to_load_is_one_sentence(reference: str, said: str, file: Path) -> None:
     (file.parent / "broken.py").write_text("1 / 0\n")
     (file.parent / "stops.py").write_text("raise SystemExit(3)\n")
     with pytest.raises(InputError, match=said) as raised:

@@ -1,4 +1,4 @@
-"""The ledgers' data: statements can be judged and have their place, and the paper's numbers are its own."""
+"""The ledgers' data: statements can be judged and have a place; the paper's numbers are correct."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from xmarl_bench.plugins.registry import explainer_names
 CLAIMS = [claim for study in STUDIES.values() for claim in (*study.claims, *study.beyond)]
 
 
-def test_every_statement_has_a_name_of_its_own_and_a_place() -> None:
+def test_every_statement_has_a_unique_name_and_a_place() -> None:
     assert len({claim.id for claim in CLAIMS}) == len(CLAIMS)
     for claim in CLAIMS:
         if claim not in BEYOND_CLAIMS:
@@ -39,24 +39,24 @@ def test_every_statement_has_a_name_of_its_own_and_a_place() -> None:
     }  # fmt: skip
 
 
-def test_statements_ask_for_what_a_study_measures() -> None:
+def test_statements_use_only_what_a_study_measures() -> None:
     for claim in CLAIMS:
         assert claim.cells, claim.id
         for contrast in claim.contrasts:
             assert contrast.metric in {*EpisodeRow.model_fields} & {*METRIC_NAMES}, claim.id
             names = {term.explainer for side in (contrast.a, contrast.b) for term in side.terms}
             assert names <= {*EXPLAINERS, *CONTROLS}, claim.id
-            if names & set(CONTROLS):  # one value per policy decides nothing in a cell
+            if names & set(CONTROLS):  # one value per policy cannot decide a cell
                 assert claim.quantifier is Quantifier.TOGETHER, claim.id
 
 
-def test_the_explainers_are_registered_and_the_metrics_are_of_entries() -> None:
+def test_the_explainers_are_registered_and_the_metrics_are_in_entries() -> None:
     assert set(EXPLAINERS) <= set(explainer_names())
     assert set(ORIENTATION) <= set(EpisodeRow.model_fields)
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.name)
-def test_a_lens_touches_some_statements_and_changes_nothing_but_explainers_and_metrics(lens: Lens) -> None:
+def test_a_lens_changes_only_explainers_and_metrics_of_some_statements(lens: Lens) -> None:
     seen = [(claim, lens.apply(claim)) for claim in CLAIMS]
     touched = [(before, after) for before, after in seen if after is not None]
     assert touched
@@ -68,7 +68,7 @@ def test_a_lens_touches_some_statements_and_changes_nothing_but_explainers_and_m
             assert ORIENTATION[other.metric] == ORIENTATION[one.metric]
 
 
-def test_cells_are_those_of_the_papers_figures() -> None:
+def test_cells_are_those_of_the_paper_s_figures() -> None:
     assert [len(study.cells) for study in STUDIES.values()] == [9, 4, 9]
     assert [cell.label for cell in STUDIES["zero-shot"].cells][:2] == [
         "navigation, N = 3, tested with 4",
@@ -78,7 +78,7 @@ def test_cells_are_those_of_the_papers_figures() -> None:
 
 
 def test_the_papers_numbers() -> None:
-    """A few of them read off its tables once more; success is a rate and collisions are where they can be."""
+    """Some values of its tables, typed again; success is a rate, and collisions are only where possible."""
     assert MAIN["blind_navigation_v0", 5]["makespan"] == (Reported(200.92, 116.44), Reported(175.86, 104.04))
     assert MAIN["blind_passage_v0", 3]["no_object_collision"] == (Reported(0.0, 0.0), Reported(0.06, 0.2))
     assert MAIN["blind_discovery_v0", 4]["success_rate"] == (Reported(0.99, 0.12), Reported(0.95, 0.22))
@@ -93,8 +93,8 @@ def test_the_papers_numbers() -> None:
     assert all(("no_agent_collision" in MAIN[key]) is (key[0] != "blind_discovery_v0") for key in MAIN)
 
 
-def test_a_lens_leaves_alone_what_it_cannot_change() -> None:
-    """No explainer has a part in success or D(alpha); a wider lens does not repeat a narrower one."""
+def test_a_lens_skips_statements_that_it_cannot_change() -> None:
+    """Success and D(alpha) depend on no explainer; a wider lens does not repeat a narrower one."""
     by_name = {lens.name: lens for lens in LENSES}
     claims = {claim.id: claim for claim in CLAIMS}
     for lens in LENSES:
@@ -108,7 +108,7 @@ def test_a_lens_leaves_alone_what_it_cannot_change() -> None:
     assert seen.contrasts == (improves("graphmask", "fid_minus"),)
 
 
-def test_labels_say_what_differs() -> None:
+def test_labels_name_what_differs() -> None:
     assert beats("attention", "graphmask", "gef", regularised=True).label == (
         "attention against graphmask, with the term"
     )

@@ -21,7 +21,7 @@ SMALL = ("--episodes", 3, "--timesteps", 2, "--max-cycles", 6)
 
 @pytest.fixture(autouse=True)
 def fast(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The ledgers' explainers optimise for seconds: two that do not stand in for them."""
+    """Replaces the ledgers' slow explainers by two fast ones."""
     monkeypatch.setattr(plan, "EXPLAINERS", ("attention", "attention-rowmax"))
 
 
@@ -47,7 +47,7 @@ def run(run_cli: RunCli, study: str, folders: list[Path], out: Path, *more: obje
     return run_cli("study", study, *policies, *SMALL, *more, "--out", out)
 
 
-def test_the_main_study(run_cli: RunCli, tmp_path: Path) -> None:
+def test_the_main_study_writes_results(run_cli: RunCli, tmp_path: Path) -> None:
     folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.2)]
     out = tmp_path / "study"
     ran = run(run_cli, "main", folders, out, "--no-figures")
@@ -97,7 +97,9 @@ def test_the_zero_shot_study_adds_agents(run_cli: RunCli, tmp_path: Path) -> Non
     assert "navigation, N = 3, tested with 6" in {each["cell"] for each in results["quality"]}
 
 
-def test_figures_need_matplotlib(run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_figures_are_refused(
+    run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     real = builtins.__import__
 
     def without(name: str, *rest: Any, **options: Any) -> Any:
@@ -111,7 +113,9 @@ def test_figures_need_matplotlib(run_cli: RunCli, tmp_path: Path, monkeypatch: p
     assert not (tmp_path / "study").exists()
 
 
-def test_bad_input_is_one_sentence(run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path) -> None:
+def test_invalid_input_is_refused_with_one_sentence(
+    run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path
+) -> None:
     out = tmp_path / "study"
     one = bundle(tmp_path, "one", attention_entropy=0.0)
     twin = bundle(tmp_path, "twin", attention_entropy=0.0)
@@ -132,10 +136,10 @@ def assert_refused(ran: Any, said: str) -> None:
     assert said in ran.err
 
 
-def test_every_explainer_of_the_ledgers(
+def test_every_explainer_of_the_ledgers_runs(
     run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The real ones, and the same bytes by two processes."""
+    """With the real explainers; two processes give the same bytes."""
     monkeypatch.undo()
     folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.2)]
     arguments = ("--episodes", 1, "--timesteps", 1, "--max-cycles", 3, "--no-figures")

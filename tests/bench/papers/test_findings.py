@@ -1,4 +1,4 @@
-"""docs/findings.md is what its data says, and its data is of the policies that are shipped."""
+"""docs/findings.md is made from its data, and its data is from the shipped policies."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ def findings() -> list[dict[str, Any]]:
     return found
 
 
-def test_the_page_is_not_stale() -> None:
-    """If it fails: python -m xmarl_bench.papers.kailas2025.findings, after the studies were run again."""
+def test_the_page_is_up_to_date() -> None:
+    """If it fails, run the studies again, then python -m xmarl_bench.papers.kailas2025.findings."""
     assert (DOCS / PAGE).read_text(encoding="utf-8") == page_of(findings())
 
 
 def test_the_numbers_are_of_the_shipped_policies() -> None:
-    """Where this fails, policies were replaced: run the studies again, and make the page of them."""
+    """If it fails, policies were replaced: run the studies again and make the page from them."""
     shipped = {name: load_card(folder).weights_sha256 for name, folder in find_policies().items()}
     for study in findings():
-        if study["protocol"]["id"] != PROTOCOL:  # of another round, which the page must say
+        if study["protocol"]["id"] != PROTOCOL:  # of another protocol, which the page must say
             assert "**To be made anew.**" in (DOCS / PAGE).read_text(encoding="utf-8")
             continue
         for policy in study["policies"]:
@@ -78,7 +78,7 @@ def record(level: float, metric: str = "fid_delta") -> dict[str, Any]:
     return judged_record(judge.judge(claim), cells=False)
 
 
-def test_a_sentence_has_its_place_and_its_numbers() -> None:
+def test_a_sentence_states_its_place_and_numbers() -> None:
     text = sentence(record(0.3))
     assert text.startswith("Attention is better (line 7; asked of most cells): of 2 cells 2 held; FidDelta, ")
     assert "attention against gnn_explainer: +0.3" in text
@@ -99,7 +99,7 @@ def test_survival_counts_the_lenses(level: float, kind: str) -> None:
     assert survival({"ledger": [record(-0.3)], "lenses": lenses}) == []
 
 
-def test_made_of_a_folder(tmp_path: Path) -> None:
+def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     judged = [record(0.3)]
     results = {
         "schema": 1, "study": "main", "title": "A title", "policies": [], "missing": ["passage, N = 5"],
@@ -120,5 +120,5 @@ def test_made_of_a_folder(tmp_path: Path) -> None:
         main([tmp_path / "none"], tmp_path)
 
 
-def test_the_command_says_what_to_do(run_cli: RunCli) -> None:
+def test_the_command_without_results_says_what_to_do(run_cli: RunCli) -> None:
     assert "zero-shot" in run_cli("study", "--help").out

@@ -1,4 +1,4 @@
-"""Statements are judged as the rules say: by hand-made numbers, at the limits, and with sides exchanged."""
+"""Statements are judged by the rules: on hand-made numbers, at the limits, and with sides exchanged."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ OPPOSITE = {H: N, N: H, U: U, X: X}
         ([X, X], EVERY, X), ([X, X], MOST, X), ([X, X], MIXED, X),
     ],
 )  # fmt: skip
-def test_the_words_of_a_statement(verdicts: list[Verdict], quantifier: Quantifier, expected: Verdict) -> None:
+def test_quantifiers_over_cells(verdicts: list[Verdict], quantifier: Quantifier, expected: Verdict) -> None:
     assert quantify(verdicts, quantifier) is expected
 
 
@@ -57,7 +57,7 @@ def test_the_words_of_a_statement(verdicts: list[Verdict], quantifier: Quantifie
         ([H, X], Combine.ALL, X), ([H, X], Combine.ANY, X),
     ],
 )  # fmt: skip
-def test_the_contrasts_of_a_cell(verdicts: list[Verdict], how: Combine, expected: Verdict) -> None:
+def test_contrasts_of_a_cell_are_combined(verdicts: list[Verdict], how: Combine, expected: Verdict) -> None:
     assert combine(verdicts, how) is expected
 
 
@@ -81,10 +81,10 @@ SAME, NO_WORSE = unmoved(ATTENTION, "fid_delta", 0.1), keeps("success_rate", 0.1
         (NO_WORSE, -0.3, -0.2, 0.0, 1.0, N),
     ],
 )  # fmt: skip
-def test_a_contrast(
+def test_a_contrast_is_judged_by_interval_and_margin(
     contrast: Contrast, low: float, high: float, effect: float, p: float, expected: Verdict
 ) -> None:
-    """Here p is that of a difference beyond the margin, too."""
+    """Here p is also that of a difference beyond the margin."""
     beyond = 0.01 if expected is N else 0.5
     assert decide(contrast, compared(low, high, effect), p, beyond) is expected
     if contrast.margin and expected is N:
@@ -97,7 +97,7 @@ def test_without_an_interval_nothing_is_decided_and_without_a_value_nothing_meas
 
 
 def test_numbers_by_hand() -> None:
-    """Less is better: the difference is positive where a is smaller; means are over policies of means."""
+    """Lower is better, so the difference is positive if a is smaller; means are over policies' means."""
     a, b = [np.array([1.0, 3.0]), np.array([5.0])], [np.array([2.0, 6.0]), np.array([5.5])]
     made = compare(a, b, -1)
     assert (made.n_policies, made.n_episodes, made.n_nan) == (2, 3, 0)
@@ -112,8 +112,8 @@ def claim(*contrasts: Contrast, quantifier: Quantifier = EVERY, cells: tuple[Cel
     return Claim("x", "1", "here", "text", cells, contrasts, quantifier)
 
 
-def test_what_differs_is_found_and_what_does_not_is_left_open() -> None:
-    """Attention is 0.3 above GNNExplainer with the term, the same without it; gef is worse where higher."""
+def test_a_difference_is_held_and_no_difference_is_undecided() -> None:
+    """Attention is 0.3 above GNNExplainer with the term, equal without it; for gef lower is better."""
 
     def level(cell: Cell, explainer: str, regularised: bool, metric: str) -> float:
         return 0.3 * (explainer == ATTENTION and regularised)
@@ -136,7 +136,7 @@ def test_what_differs_is_found_and_what_does_not_is_left_open() -> None:
     assert judge.judge(mixed).verdict is N
 
 
-def test_bonferroni_counts_the_tests_of_the_statement() -> None:
+def test_bonferroni_is_over_the_tests_of_a_statement() -> None:
     judge = Judge(made_samples(CELLS, (ATTENTION, GNN), lambda *_: 0.0))
     alone = judge.judge(claim(beats(ATTENTION, GNN, "fid_delta"), cells=CELLS[:1])).cells[0].contrasts[0]
     together = judge.judge(claim(beats(ATTENTION, GNN, "fid_delta"))).cells[0].contrasts[0]
@@ -146,7 +146,7 @@ def test_bonferroni_counts_the_tests_of_the_statement() -> None:
     assert together.p_adjusted == min(1.0, 3 * together.compared.p)
 
 
-def test_beyond_a_margin_is_the_t_test_against_it() -> None:
+def test_the_p_beyond_a_margin_is_of_the_t_test_against_it() -> None:
     a, b = [np.array([-0.3]), np.array([-0.5]), np.array([-0.45])], [np.zeros(1)] * 3
     expected = stats.ttest_1samp([-0.3, -0.5, -0.45], -0.1).pvalue
     assert compare(a, b, 1, 0.1).p_beyond == pytest.approx(expected)
@@ -178,12 +178,12 @@ def verdicts(contrast: Contrast, difference: np.ndarray, cells: int) -> list[lis
 @pytest.mark.parametrize("n_runs", [3, 5])
 @pytest.mark.parametrize("spread", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("contrast", [BETTER, NO_WORSE, SAME], ids=lambda contrast: contrast.relation.value)
-def test_verdicts_where_nothing_is_to_be_found(
+def test_verdicts_have_their_nominal_error_rate(
     contrast: Contrast, spread: float, n_runs: int, quantifier: Quantifier
 ) -> None:
-    """At most one statement in twenty is held, or not held, on nine cells whose difference is the limit.
+    """At most one statement in twenty is held, or not held, on nine cells whose difference is at the limit.
 
-    That is 0, or the margin, from which neither verdict is right; episodes are skewed, 50 to a run.
+    The limit is 0 or the margin, where neither verdict is right; runs have 50 skewed episodes.
     """
     rng = np.random.default_rng([n_runs, int(10 * spread)])
     runs = spread * rng.normal(size=(9 * 800, n_runs, 1))
@@ -193,7 +193,7 @@ def test_verdicts_where_nothing_is_to_be_found(
         assert np.mean([each is verdict for each in found]) <= 0.05
 
 
-def test_a_statement_never_rests_on_cells_that_are_undecided() -> None:
+def test_undecided_cells_decide_no_statement() -> None:
     for quantifier in (EVERY, MOST, MIXED):
         for n in range(1, 10):
             assert quantify([U] * n, quantifier) is U
@@ -202,14 +202,16 @@ def test_a_statement_never_rests_on_cells_that_are_undecided() -> None:
 
 @pytest.mark.slow
 @given(st.floats(-0.5, 0.5), st.integers(0, 3))
-def test_exchanged_sides_turn_the_verdict_around(shift: float, seed: int) -> None:
+def test_exchanging_the_sides_reverses_the_verdict(shift: float, seed: int) -> None:
     def level(cell: Cell, explainer: str, regularised: bool, metric: str) -> float:
         return shift * (explainer == ATTENTION)
 
     judge = Judge(made_samples(CELLS[:1], (ATTENTION, GNN), level, episodes=10 + seed))
     one = judge.judge(claim(beats(ATTENTION, GNN, "fid_delta"), cells=CELLS[:1]))
     other = judge.judge(claim(beats(GNN, ATTENTION, "fid_delta"), cells=CELLS[:1]))
-    if one.verdict is not U and other.verdict is not U:  # another draw of the bootstrap may be undecided
+    if (
+        one.verdict is not U and other.verdict is not U
+    ):  # an undecided verdict may depend on the bootstrap's draws
         assert other.verdict is OPPOSITE[one.verdict]
     first, second = one.overall[0].compared, other.overall[0].compared
     assert first.difference is not None
@@ -221,8 +223,8 @@ def scored(name: str, *values: float) -> Scored:
     return Scored(name, {"fid_delta": np.array(values)})
 
 
-def test_regularised_runs_are_compared_with_their_partners() -> None:
-    """Same architecture and seed; a run without a partner is left out, several lambdas share one."""
+def test_regularised_runs_are_paired_with_unregularised_ones() -> None:
+    """Pairs share architecture and seed; unpaired runs are left out, several lambdas share a partner."""
     place = Place.of(CELLS[0], Term(ATTENTION))
     runs = {
         Run("a", 0.0, 0): scored("a0", 1.0, 2.0),
@@ -249,7 +251,7 @@ def test_a_control_is_one_value_per_policy() -> None:
     assert ([x.tolist() for x in a], [x.tolist() for x in b]) == ([[4.0]], [[1.5]])
 
 
-def test_a_lead_is_one_term_less_another() -> None:
+def test_a_lead_is_a_difference_of_two_terms() -> None:
     near, far = (Cell("blind_navigation_v0", 3, more=more) for more in (1, 3))
     run = Run("a", 0.1, 0)
     samples = Samples(

@@ -1,4 +1,4 @@
-"""What a study writes: results, tables that a paper can take, figures for print and dark screens, a page."""
+"""The files of a study: results, tables for a paper, figures for print and dark screens, a page."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def data() -> StudyData:
 
 @pytest.fixture(scope="module")
 def written(data: StudyData, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With figures of two metrics: one takes half a second."""
+    """With figures of only two metrics, because each takes half a second."""
     folder = tmp_path_factory.mktemp("study")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(figures, "METRICS", ("fid_delta", "gef"))
@@ -62,7 +62,7 @@ def written(data: StudyData, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_results_say_what_is_missing_and_what_was_judged(data: StudyData) -> None:
+def test_results_list_missing_cells_and_verdicts(data: StudyData) -> None:
     results = results_of(data)
     assert len(results["missing"]) == 14
     assert "passage, N = 3, with the term" in results["missing"]
@@ -85,7 +85,7 @@ def test_results_say_what_is_missing_and_what_was_judged(data: StudyData) -> Non
     assert all(policy["gate"] is None for policy in results["policies"])
 
 
-def test_the_gate_is_the_leaderboards() -> None:
+def test_the_gate_is_the_leaderboard_s() -> None:
     card, _ = pair("attention", 3, 0.0)
     entry = made_entry(card.name, "attention", 0.5, episodes=2, success_gain=0.0, reward_gain=0.0)
     results = results_of(
@@ -105,7 +105,7 @@ def test_the_same_entries_give_the_same_bytes(data: StudyData, written: Path, tm
     assert figure.pdf == (written / "figures" / "gef-paper.pdf").read_bytes()
 
 
-def test_tables_are_rectangles_in_both_languages(data: StudyData) -> None:
+def test_tables_are_rectangular_in_markdown_and_latex(data: StudyData) -> None:
     tables = tables_of(results_of(data))
     assert {"fid_delta", "gef", "performance", "ledger", "beyond", "lenses"} <= {each.name for each in tables}
     for table in tables:
@@ -126,7 +126,7 @@ def test_latex_is_escaped() -> None:
     )
 
 
-def test_the_numbers_shown_are_of_the_comparison_that_decides() -> None:
+def test_the_numbers_shown_are_of_the_deciding_comparison() -> None:
     def overall(*verdicts: str) -> list[dict[str, str]]:
         return [{"verdict": verdict, "metric": str(k)} for k, verdict in enumerate(verdicts)]
 
@@ -139,7 +139,7 @@ def test_the_numbers_shown_are_of_the_comparison_that_decides() -> None:
         assert decisive({"verdict": verdict, "overall": overall(*verdicts)})["metric"] == shown
 
 
-def test_a_quality_table_holds_the_means(data: StudyData) -> None:
+def test_a_quality_table_has_the_means(data: StudyData) -> None:
     table = next(each for each in tables_of(results_of(data)) if each.name == "fid_delta")
     row = next(row for row in table.rows if row[:2] == ("navigation, N = 3", GNN))
     without, with_term = (float(cell.split()[0]) for cell in row[2:])
@@ -147,7 +147,7 @@ def test_a_quality_table_holds_the_means(data: StudyData) -> None:
     assert with_term == pytest.approx(0.6, abs=0.05)
 
 
-def test_figures_are_for_print_and_for_dark_screens(written: Path) -> None:
+def test_figures_follow_the_colour_scheme(written: Path) -> None:
     drawn = sorted(path.name for path in (written / "figures").iterdir())
     assert {"fid_delta-paper.svg", "fid_delta-paper.pdf", "gef-paper.svg"} <= set(drawn)
     svg = (written / "figures" / "fid_delta-paper.svg").read_text()
@@ -155,13 +155,13 @@ def test_figures_are_for_print_and_for_dark_screens(written: Path) -> None:
     assert root.attrib["role"] == "img"
     assert "prefers-color-scheme:dark" in svg
     assert svg.count("currentColor") > 20
-    assert svg.count(INK) == 1  # of the style alone
+    assert svg.count(INK) == 1  # only in the style
     assert "navigation, N = 3" in svg
     assert "not measured" in svg  # the panels of the other cells
     assert (written / "figures" / "fid_delta-paper.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_the_page_stands_alone(written: Path) -> None:
+def test_the_page_needs_no_other_file(written: Path) -> None:
     page = (written / "report.html").read_text()
     assert not re.findall(
         r"""(?:src|href)=["'](?!#)[^"']+["']""", re.sub(r"<svg.*?</svg>", "", page, flags=re.S)
@@ -171,7 +171,7 @@ def test_the_page_stands_alone(written: Path) -> None:
     assert "With the term AttentionExplainer has more FidDelta than GNNExplainer" in page
 
 
-def test_results_hold_no_times(written: Path) -> None:
+def test_results_contain_no_times(written: Path) -> None:
     text = (written / "results.json").read_text()
     assert "seconds" not in text
     assert "2026-" not in text

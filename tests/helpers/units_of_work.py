@@ -14,8 +14,8 @@ if TYPE_CHECKING:  # torch takes a worker seconds to import, and few of these ne
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.policy import Policy
     from xmarl_bench.rollout.episodes import Episode, Rollout
-    from xmarl_bench.scoring.carried import Carried
     from xmarl_bench.scoring.measure import Unit
+    from xmarl_bench.scoring.policy_payload import PolicyPayload
 
 
 def square(number: int) -> int:
@@ -38,9 +38,9 @@ def process_beside_another(folder: str) -> int:
     return os.getpid()
 
 
-def loaded(carried: Carried[tuple[Policy, str]]) -> tuple[int, int]:
+def loaded(payload: PolicyPayload[tuple[Policy, str]]) -> tuple[int, int]:
     """This process and its policy, once there are two of them."""
-    policy, folder = carried.load
+    policy, folder = payload.work
     return process_beside_another(folder), id(policy)
 
 

@@ -1,1 +1,1 @@
-"""From requests to entries: pieces of work, what they measure, and the cache of their results."""
+"""From requests to entries: pieces of work, their measurements, and the cache of their results."""

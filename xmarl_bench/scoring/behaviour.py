@@ -1,13 +1,13 @@
-"""Behavioural fidelity: is the explanation enough to do the job, and is the job impossible without it?
+"""Behavioural fidelity: does the explanation suffice to do the task, and does the task fail without it?
 
-The team is rolled out twice from each episode's start: communicating only along the k highest messages of
-each row of the explanation, and only along the others. The explainer is asked at every step, on the state
-that its own team has come to. Success and reward are compared with those of the full team's episode. Every
-agent keeps its own edge, and k is half of the N - 1 others, so that both teams lose about as much.
+The team is rolled out twice from the start of each episode: communicating only along the k highest messages
+of each row of the explanation, and only along the others. The explainer is called at every step, on the state
+of its own team. Success and reward are compared with those of the full team's episode. Every agent keeps its
+own edge, and k is half of the N - 1 others, so that both teams lose about the same number of messages.
 
-Explainers are fast on many states at once, and matrix products round by the size of their batch: BLOCK
-consecutive episodes of a run are always explained and acted together, the last block filled up. So results
-depend on (policy, explainer, seed, episode), and on no number of processes.
+Explainers are fast on many states at once, but rounding of matrix products depends on the batch size. So
+BLOCK consecutive episodes of a run are always explained and acted together, and the last block is padded:
+results depend on (policy, explainer, seed, episode), not on the number of processes.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout.episodes import Episode, Floats, initial_state, play, with_actions_of
 from xmarl_bench.scoring.states import number
 
-BLOCK = 50  # episodes: those of the protocol, in one go
-SMALLEST_TEAM = 3  # with fewer there are no two messages to choose between
+BLOCK = 50  # episodes: the protocol's, in one batch
+SMALLEST_TEAM = 3  # smaller teams have no two messages to choose between
 
 
 def why_no_behaviour(n_agents: int) -> str | None:
-    """Why a team cannot be played so; None where it can."""
+    """Why a team of this size cannot be rolled out; None if it can."""
     if n_agents < SMALLEST_TEAM:
         return f"needs {SMALLEST_TEAM} agents, so that there are messages to choose between, got {n_agents}"
     return None
@@ -57,10 +57,10 @@ class Played:
 
 @dataclass(frozen=True)
 class BehaviourBlock:
-    """At most BLOCK episodes to play with both teams: what is handed to a worker."""
+    """At most BLOCK episodes to play with both teams: a unit of work for a worker."""
 
     policy: Policy
-    explainer: Explainer | None  # None: messages chosen at random, the floor
+    explainer: Explainer | None  # None: messages chosen at random, as a baseline
     task: str
     n_agents: int
     seeds: tuple[int, ...]  # of the episodes
@@ -68,7 +68,7 @@ class BehaviourBlock:
     max_cycles: int | None
 
     def run(self) -> Played | InputError:
-        """The error, returned and not raised, names the explainer whose mask is not one."""
+        """Play the episodes. If the explainer fails, returns (not raises) an error that names it."""
         n, started = len(self.seeds), time.perf_counter()
         try:
             with one_thread():
@@ -87,11 +87,11 @@ class BehaviourBlock:
 
 
 class _BlockAct:
-    """Explains and acts for the 2 n teams of a block: n that keep the explanation, n that keep the rest."""
+    """Explains and acts for the 2 n teams of a block: n keep the explanation, n keep its complement."""
 
     def __init__(self, block: BehaviourBlock) -> None:
         self.block = block
-        self.policy = copy.deepcopy(block.policy).eval()  # memory as torch lays it out, also after a pickle
+        self.policy = copy.deepcopy(block.policy).eval()  # torch aligns the copy's memory; pickle does not
         self.n_steps = 0
 
     def __call__(self, observation: Floats, slots: Sequence[int]) -> tuple[NDArray[Any], Floats]:
@@ -99,13 +99,13 @@ class _BlockAct:
         block, n = self.block, len(self.block.seeds)
         parts = block.seed, block.seeds[0], self.n_steps
         self.n_steps += 1
-        # Always 2 * BLOCK teams, whoever is still playing: the first one fills what is missing.
+        # Always 2 * BLOCK teams, also when some have finished: copies of the first one pad the batch.
         filled = observation[[*range(n), *[0] * (BLOCK - n), *range(n, 2 * n), *[n] * (BLOCK - n)]]
         x = torch.tensor(filled)
         noise = np.random.default_rng(derived_seed("behaviour ties", *parts)).random(
             (*x.shape[:2], x.shape[1])
         )
-        mask = np.zeros_like(noise)  # nothing but ties
+        mask = np.zeros_like(noise)  # all values tie
         if block.explainer is not None:
             seed = derived_seed("behaviour", block.explainer.name, *parts)
             mask = run_explainer(block.explainer, self.policy, x, seed).double().numpy()
@@ -135,9 +135,9 @@ def _row(kept: Episode, dropped: Episode) -> BehaviourRow:
 def top_messages(
     mask: NDArray[np.floating], noise: NDArray[np.float64], k: int, edges: NDArray[np.bool_] | None = None
 ) -> Tensor:
-    """(S, N, N) mask, noise against ties -> (S, N, N) of zeros and ones: the k highest others of each row.
+    """(S, N, N) mask, noise to break ties -> (S, N, N) of zeros and ones: the k highest others of each row.
 
-    edges: (S, N, N), which ones the graph has; a receiver with fewer than k others keeps all of them.
+    edges: (S, N, N), the edges of the graph; a receiver with fewer than k others keeps all of them.
     """
     others = None if edges is None else other_senders(edges)
     rows = top_k_rows(other_senders(mask), other_senders(noise), others)[k - 1]

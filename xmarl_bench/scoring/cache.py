@@ -1,7 +1,7 @@
-"""The cache: a folder of pieces, each one file named by the hash of all that its result depends on.
+"""The cache: a folder of pieces, each a file named by the hash of everything that its result depends on.
 
-So a piece is never wrong for what asks for it, may be shared by runs of any kind, and may be deleted at any
-time. A file begins with the sha256 of what follows: one that was cut short or changed counts as missing.
+So a piece is always valid for its name, can be shared by all runs, and can be deleted at any time. A file
+begins with the sha256 of the rest: a truncated or changed file counts as missing.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.records.files import remove_leftovers, write_atomically
 
 DEFAULT_FOLDER = Path(".xmarl-bench")
-VERSION_DIGITS = 16  # of a key, say which version of the harness it is of
-RUNS = "runs"  # records of what runs are to compute
+VERSION_DIGITS = 16  # the first digits of a key identify the version of the harness
+RUNS = "runs"  # folder of the records of runs
 MARKS = {
     "CACHEDIR.TAG": b"Signature: 8a477f597d28d172789f06886806bc55\n# Cache of xmarl-bench.\n",
     ".gitignore": b"*\n",
 }
-OURS = re.compile(f"{RUNS}|[0-9a-f]{{{VERSION_DIGITS}}}|[0-9a-f]{{2}}")  # the last is of older versions
+OURS = re.compile(f"{RUNS}|[0-9a-f]{{{VERSION_DIGITS}}}|[0-9a-f]{{2}}")  # the last: of older versions
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,14 @@ class Size:
 
 
 class Cache:
-    """Pieces by key, each 64 hexadecimal digits, and the errors of what failed."""
+    """Pieces by key, of 64 hexadecimal digits, and the errors of pieces that failed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def prepare(self) -> None:
-        """Make the folder, mark it as a cache (https://bford.info/cachedir) that no repository wants, and
-        delete what killed runs left in it."""
+        """Create the folder, mark it as a cache (https://bford.info/cachedir) that git ignores, and delete
+        leftovers of killed runs."""
         for name, text in MARKS.items():
             if not (self.folder / name).exists():
                 write_atomically(self.folder / name, text)
@@ -52,7 +52,7 @@ class Cache:
         return self.read(key) is not None
 
     def read(self, key: str) -> bytes | None:
-        """None if there is no such piece, or no whole one."""
+        """The piece; None if it is missing, truncated or changed."""
         try:
             data = self.path(key).read_bytes()
         except FileNotFoundError:
@@ -65,7 +65,7 @@ class Cache:
         return value if digest == _digest(value) else None
 
     def write(self, key: str, value: bytes) -> None:
-        """Raises InputError if it cannot be written."""
+        """Write a piece. Raises InputError if it cannot be written."""
         write_atomically(self.path(key), _digest(value) + b"\n" + value, sync=False)
         self.failure_path(key).unlink(missing_ok=True)
 
@@ -73,7 +73,7 @@ class Cache:
         self.path(key).unlink(missing_ok=True)
 
     def fail(self, key: str, error: str) -> None:
-        """Record why it could not be computed; the next run that wants it tries again."""
+        """Record why a piece failed. The next run that needs it tries again."""
         write_atomically(self.failure_path(key), error.encode())
 
     def failure(self, key: str) -> str | None:
@@ -90,20 +90,20 @@ class Cache:
         return self.path(key).with_suffix(".failed")
 
     def size(self, version: str) -> Size:
-        """version: what its keys begin with."""
+        """The size of the cache. version: the beginning of a version's keys."""
         pieces = [path for path in self.folder.glob("*/*/*") if re.fullmatch("[0-9a-f]+", path.name)]
         of_version = sum(path.parent.parent.name == version for path in pieces)
         return Size(len(pieces), sum(path.stat().st_size for path in pieces), of_version)
 
     def clear(self) -> None:
-        """Delete what a cache holds, and the folder if nothing else is in it."""
+        """Delete the cache's files, and the folder if nothing else is in it."""
         for path in self._contents():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         if self.folder.is_dir() and not any(self.folder.iterdir()):
             self.folder.rmdir()
 
     def _contents(self) -> Iterator[Path]:
-        """Nothing where the mark of a cache is missing: the folder is somebody else's."""
+        """The cache's files and folders; none if the folder is not marked as a cache."""
         if (self.folder / "CACHEDIR.TAG").is_file():
             yield from (path for path in self.folder.glob("*/") if OURS.fullmatch(path.name))
             yield from (self.folder / name for name in MARKS if (self.folder / name).exists())

@@ -1,4 +1,4 @@
-"""Puts a cell's results together from the work that is done: rows, their means, and the controls."""
+"""Assembles a cell's result from finished pieces: rows, their means, and the controls."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.results import Results
 from xmarl_bench.scoring.states import number
 
-# Cells whose controls stay in memory for the next entry: explainers of a policy come one after the other.
+# Cells whose controls stay in memory for the next entry: explainers of a policy come one after another.
 KEPT = 4
 NOT_PLAYED = BehaviourRow.model_validate(dict.fromkeys(BEHAVIOUR))
 NOT_CHECKED = SanityRow.model_validate(dict.fromkeys(SANITY))
@@ -30,7 +30,7 @@ NOT_CHECKED = SanityRow.model_validate(dict.fromkeys(SANITY))
 
 @dataclass
 class Controls:
-    """Means of the controls, which all explainers of the same states share; the last few."""
+    """Means of the controls, which all explainers of the same states share. Keeps the last few."""
 
     known: dict[tuple[str, ...], dict[str, ControlMetrics]] = field(default_factory=dict)
 
@@ -43,7 +43,7 @@ class Controls:
         random_behaviour: Sequence[BehaviourRow],
         reasons: Mapping[str, str],
     ) -> dict[str, ControlMetrics]:
-        """All but the inverted mask, which is the explainer's own."""
+        """Means of all controls but the inverted mask, which depends on the explainer."""
         key = tuple(piece.key for piece in (*needed.shared, *needed.random_behaviour))
         if key not in self.known:
             played = random_behaviour[: request.behaviours(cell)]
@@ -64,7 +64,7 @@ class Controls:
 def cell_result(
     request: Request, cell: Cell, needed: Needs, results: Results, controls: Controls
 ) -> tuple[CellResult, Cost]:
-    """Of pieces that are all there. The cost is of this cell alone."""
+    """A cell's result and its cost. All its pieces must be complete."""
     sampling = request.sampling
     episodes = [each for piece in needed.episodes for each in results.episodes(piece)]
     mute = [each for piece in needed.mute for each in results.episodes(piece)]
@@ -93,7 +93,7 @@ def cell_result(
 
 
 def total_cost(costs: Sequence[Cost]) -> Cost:
-    """Of all cells of an entry."""
+    """The cost of all cells of an entry."""
     n = sum(each.explained_timesteps for each in costs)
     return Cost(
         explain_seconds_per_timestep=sum(
@@ -120,7 +120,7 @@ def _cost(shared: Sequence[Shared], explained: Sequence[Explained], played: Sequ
 
 
 def _behaviours(played: Sequence[Played], episodes: int) -> list[BehaviourRow]:
-    """One for each episode."""
+    """A row for each episode; NOT_PLAYED for those without a rollout."""
     rows = [each for block in played for each in block.rows]
     return rows + [NOT_PLAYED] * (episodes - len(rows))
 
@@ -133,7 +133,7 @@ def episode_row(
     explained: Explained,
     behaviour: BehaviourRow,
 ) -> EpisodeRow:
-    """What an entry keeps of one episode. mute: the same without messages."""
+    """The row of one episode in an entry. mute: the same episode without messages."""
     parts = (explained.row, behaviour, explained.sanity or NOT_CHECKED, shared.policy)
     return EpisodeRow.model_validate(
         {

@@ -1,9 +1,9 @@
-"""The hash of an object and of the code that it brings along, for what no version pins down.
+"""The hash of an object and of its code, for code that no version number identifies.
 
-Code of an installed distribution counts by name: its version stands for it. Own code (a script, a notebook,
-a module beside it, an editable install) counts twice: as sources on disk, its neighbours included, and as it
-is in memory, down to globals, closures, defaults, attributes and tensors. Two processes get the same hash for
-the same object. What cannot be pickled has none.
+Code of an installed distribution counts by name, because its version identifies it. The user's own code (a
+script, a notebook, a module beside it, an editable install) counts twice: as sources on disk, with the
+modules beside it, and as it is in memory, down to globals, closures, defaults, attributes and tensors. Two
+processes get the same hash for the same object. Objects that cannot be pickled have no hash.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from torch import Tensor
 from xmarl_bench.origin.installed import HARNESS, is_own
 
 LOOKS_UP = ("LOAD_GLOBAL", "LOAD_NAME")
-NO_CONTENT = ("__dict__", "__weakref__", "__slotnames__", "_abc_impl")  # of a class
+NO_CONTENT = ("__dict__", "__weakref__", "__slotnames__", "_abc_impl")  # attributes of every class
 
 
 def sources_sha256(files: Iterable[tuple[str, Path]]) -> str:
-    """Of files, each under a name that is the same on every machine."""
+    """Hash of files, each with a name that is the same on every machine."""
     lines = sorted(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}" for name, path in files)
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
@@ -39,19 +39,21 @@ def harness_sources() -> Iterator[tuple[str, Path]]:
 
 
 def object_sha256(thing: object) -> str | None:
-    """None for what cannot be pickled, or whose sources cannot be read."""
+    """The hash; None if the object cannot be pickled or its sources cannot be read."""
     digest = _Digest()
     try:
         pickler = _ByValue(digest)
         pickler.dump(thing)
         return f"{digest.sha256.hexdigest()}{sources_sha256(_sources_of(pickler.files))}"
-    except Exception:  # whatever the __reduce__ of a stranger's class raises
+    except Exception:  # __reduce__ of the user's classes may raise anything
         return None
 
 
 def _sources_of(files: Iterable[Path]) -> Iterator[tuple[str, Path]]:
-    """Every module of the packages that files are of, or else the files of their folder: one that is imported
-    when a function is called is not there yet."""
+    """All modules of the packages of these files, or the modules in their folder if they are in no package.
+
+    Not only the modules in memory, because a function may import others when it is called.
+    """
     for folder, pattern in {_package_of(file) for file in files if file.is_file()}:
         yield from ((f"{folder.name}/{path.relative_to(folder)}", path) for path in folder.glob(pattern))
 
@@ -64,7 +66,7 @@ def _package_of(file: Path) -> tuple[Path, str]:
 
 
 class _Digest:
-    """A file that keeps nothing but the hash of what was written."""
+    """A file that keeps only the hash of what was written."""
 
     def __init__(self) -> None:
         self.sha256 = hashlib.sha256()
@@ -75,11 +77,11 @@ class _Digest:
 
 
 class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
-    """Writes own code by value. cloudpickle's way to do so draws random ids and names memory addresses."""
+    """Pickles the user's own code by value, without the random ids and memory addresses of cloudpickle."""
 
     def __init__(self, file: _Digest) -> None:
         super().__init__(file)
-        self.files: set[Path] = set()  # of own code, as it was met
+        self.files: set[Path] = set()  # files of the user's own code, as they occur
 
     def reducer_override(self, obj: Any) -> Any:
         if isinstance(obj, Tensor):
@@ -103,13 +105,13 @@ class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
 
 
 def _as(name: str, content: object) -> tuple[Any, ...]:
-    """What pickle takes for an object; its content may hold the object itself."""
+    """A reduce value for an object, whose content may hold the object itself."""
     return _never_loaded, (name,), content
 
 
 def _has_its_name(obj: FunctionType | type) -> bool:
-    """Whether its name leads to it; not if a function made it, nor if it is a lambda."""
-    if obj.__module__ == "builtins":  # some of its types have no name there
+    """Whether its qualified name leads to it: not for lambdas and for what a function made."""
+    if obj.__module__ == "builtins":  # some of its types are not reachable by name
         return True
     found: object = sys.modules.get(obj.__module__)
     for part in obj.__qualname__.split("."):
@@ -118,7 +120,7 @@ def _has_its_name(obj: FunctionType | type) -> bool:
 
 
 def _in_order(value: object) -> object:
-    """Strings in a set are in another order in each process."""
+    """A set of strings in sorted order, because its order differs between processes; else the value."""
     texts = isinstance(value, set | frozenset) and all(isinstance(each, str) for each in value)
     return (type(value), sorted(value)) if texts else value  # type: ignore[call-overload]
 
@@ -133,7 +135,7 @@ def _content_of_tensor(tensor: Tensor) -> object:
 
 
 def _content_of_code(code: CodeType) -> object:
-    """All but the name of the file, which a notebook makes anew in each process."""
+    """Everything but the file name, which differs between processes of a notebook."""
     consts = [_in_order(each) for each in code.co_consts]
     names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     arguments = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount
@@ -149,7 +151,7 @@ def _content_of_function(function: FunctionType) -> object:
 
 
 def _names(code: CodeType) -> set[str]:
-    """The globals that code looks up, functions inside it included."""
+    """The globals that code looks up, including functions inside it."""
     inside = (each for each in code.co_consts if isinstance(each, CodeType))
     looked_up = {each.argval for each in dis.get_instructions(code) if each.opname in LOOKS_UP}
     return looked_up.union(*map(_names, inside))

@@ -1,8 +1,8 @@
-"""A unit of the work of scoring: one episode, explained by some explainers and measured beside the controls.
+"""A unit of scoring work: one episode, explained by some explainers and measured together with the controls.
 
-Matrix products round differently in batches of another size and in memory of another alignment, so an
-episode is always one batch of its own, in tensors that torch allocates: what an explainer scores on it
-depends on nothing but (policy, explainer, seed, episode, timesteps), and not on the other explainers.
+Rounding of matrix products depends on the size of a batch and on the alignment of its memory. So an episode
+is always one batch, in tensors that torch allocates: an explainer's score on it depends on (policy,
+explainer, seed, episode, timesteps) only, and not on the other explainers.
 """
 
 from __future__ import annotations
@@ -32,48 +32,48 @@ from xmarl_bench.scoring.states import States, number
 
 @dataclass(frozen=True)
 class Explained:
-    """What one explainer scored on one episode."""
+    """Scores of one explainer on one episode."""
 
     row: ExplanationRow
     budgets: dict[str, BudgetRow]  # by their names in the row
     inverted: ExplanationRow  # of 1 - mask
-    sanity: SanityRow | None  # None where the unit does not ask for it
-    seconds: float  # for the masks alone
+    sanity: SanityRow | None  # None if the unit does not check it
+    seconds: float  # for the masks only
 
 
 @dataclass(frozen=True)
 class Shared:
-    """What an episode gives whoever explains it."""
+    """Measurements of one episode that all explainers share."""
 
     timesteps: int  # explained
-    controls: dict[str, ExplanationRow]  # no oracle where there is none
+    controls: dict[str, ExplanationRow]  # without the oracle if there is none
     policy: PolicyRow
-    seconds: float  # for all but the explainers' masks and metrics
+    seconds: float  # without the explainers' masks and metrics
 
 
 @dataclass(frozen=True)
 class Measured:
     explained: dict[str, Explained | InputError]  # by explainer; the error of one does not stop the others
-    shared: Shared | None  # None where it was not asked for
+    shared: Shared | None  # None if the unit does not measure it
 
 
 @dataclass(frozen=True)
 class Unit:
-    """One episode to explain and measure: what is handed to a worker."""
+    """One episode to explain and measure: a unit of work for a worker."""
 
     policy: Policy
     explainers: tuple[Explainer, ...]
     episode: Episode
     seed: int  # of the run
-    timesteps: int | None  # at most so many; None is all
-    sanity: bool  # check stability between seeds and shuffled weights too
+    timesteps: int | None  # at most so many; None: all
+    sanity: bool  # also check stability between seeds and shuffled weights
     reference: Tensor | None = None  # (Q, N, D): see xmarl_bench.explain.absence
     controls: tuple[Explainer, ...] = tuple(CONTROLS.values())
-    shared: bool = True  # measure the controls and the policy too
+    shared: bool = True  # also measure the controls and the policy
 
     def run(self) -> Measured:
         with one_thread():
-            # A copy is laid out as torch lays it out, also where the policy came through a pickle.
+            # torch aligns the copy's memory; pickle does not.
             policy = copy.deepcopy(self.policy).eval()
             chosen = spaced_timesteps(len(self.episode.observations), self.timesteps)
             observations = torch.tensor(self.episode.observations[chosen])
@@ -114,7 +114,7 @@ class Unit:
         return SanityRow.model_validate(values)
 
     def _control_masks(self, states: States) -> dict[str, Tensor]:
-        """The masks of the controls; the oracle's come out of the table that the states hold."""
+        """The masks of the controls; the oracle's come from the table of the states."""
         masks = {
             control.name: self._mask(control, states)
             for control in self.controls

@@ -1,4 +1,4 @@
-"""Which metrics of a request's cell are null, and why: an absent number says its reason."""
+"""Which metrics of a request's cell are null, and the reason for each."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from xmarl_bench.scoring.request import Request
 
 
 def not_measured(request: Request, cell: Cell, observations: Tensor) -> dict[str, str]:
-    """Metric -> why, without a full stop. observations: (S, N, D), any of the cell's, to see what attends."""
+    """Metric -> reason, without a full stop. observations: (S, N, D), any of the cell, to test attention."""
     missing = {need: why for need, why in _reasons(request, cell, observations) if why is not None}
     return {
         metric.name: next(missing[need] for need in metric.needs if need in missing)
@@ -27,7 +27,7 @@ def not_measured(request: Request, cell: Cell, observations: Tensor) -> dict[str
 
 
 def _reasons(request: Request, cell: Cell, observations: Tensor) -> Iterator[tuple[Need, str | None]]:
-    """Why a need is not met; None where it is."""
+    """Each need with the reason why it is not met; None if it is met."""
     policy, n_agents = request.policy, cell.n_agents
     for need, least in ((Need.TWO_AGENTS, 2), (Need.THREE_AGENTS, 3)):
         few = n_agents < least

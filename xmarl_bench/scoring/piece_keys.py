@@ -1,8 +1,8 @@
-"""What a piece is kept under: one hash of all that its result depends on.
+"""The key of a piece in the cache: a hash of everything that its result depends on.
 
 A policy counts by its architecture and weights, code by its `code_hash`, the harness by all of its sources,
-the packages that compute and the processor's vector instructions. Files that own code reads cannot be seen.
-What has no hash gets a new key each time: it is computed again.
+the packages that compute and the processor's vector instructions. Files that the user's code reads are not
+covered. An object without a hash gets a new key each time, so that its pieces are computed again.
 """
 
 from __future__ import annotations
@@ -30,29 +30,29 @@ PACKAGES = ("captum", "numpy", "pymunk", "torch", "torch-geometric")
 
 @cache
 def version_key() -> str:
-    """What keys of this version of the harness, on such a processor, begin with."""
+    """The beginning of the keys of this version of the harness on this type of processor."""
     content = {
         "sources": sources_sha256(harness_sources()),
         "python": sys.version_info[:2],
         "packages": {name: package_version(name) for name in PACKAGES},
-        "cpu": torch.backends.cpu.get_cpu_capability(),  # decides how matrix products round
+        "cpu": torch.backends.cpu.get_cpu_capability(),  # rounding of matrix products depends on it
     }
     return _sha256(content)[:VERSION_DIGITS]
 
 
 def piece_key(*parts: Any) -> str:
-    """64 hexadecimal digits for values made of JSON's types."""
+    """64 hexadecimal digits for parts made of JSON's types."""
     return version_key() + _sha256(parts)[VERSION_DIGITS:]
 
 
 @dataclass
 class Keys:
-    """Of policies and explainers, each found once in a run."""
+    """Keys of policies and explainers, each computed once in a run."""
 
-    _known: dict[int, tuple[object, str]] = field(default_factory=dict)  # by id of what is held beside it
+    _known: dict[int, tuple[object, str]] = field(default_factory=dict)  # by id of the object in the value
 
     def policy(self, policy: Policy, card: PolicyCard) -> str:
-        """Of a policy's function; its name and history have no part in it."""
+        """Key of a policy's function, independent of its name and training record."""
         return self._once(policy, lambda: _policy_key(policy, card))
 
     def explainer(self, explainer: Explainer) -> str:
@@ -70,7 +70,7 @@ def _policy_key(policy: Policy, card: PolicyCard) -> str:
 
 
 def _explainer_key(explainer: Explainer) -> str:
-    """Of what it declares, its origin and its code; not of the line that tells people about it."""
+    """Key of an explainer's declarations, origin and code, independent of its summary."""
     origin = origin_of_explainer(explainer)
     code = _code_key(replace(explainer, summary="", origin=None))
     return _sha256([origin.distribution, origin.version, origin.entry_point, origin.code_sha256, code])

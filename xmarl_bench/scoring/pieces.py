@@ -1,8 +1,9 @@
-"""The work that requests ask for, cut into pieces: what each is, and the key of its result in the cache.
+"""The work of requests, cut into pieces, each with the key of its result in the cache.
 
-A piece is a block of consecutive episodes of a policy: played; played without messages (`mute`); measured
-without any explainer (`shared`); explained by one explainer; or acted out on an explainer's masks
-(`behaviour`). Requests that need the same piece share it, in one run and between runs.
+A piece is one kind of work on a block of consecutive episodes of a policy: playing them; playing them without
+messages (`mute`); measuring what needs no explainer (`shared`); explaining them with one explainer; or
+rolling the team out on an explainer's masks (`behaviour`). Requests that need the same piece share it, within
+a run and between runs.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ Kind = Literal["episodes", "mute", "shared", "explained", "behaviour"]
 
 
 @dataclass(frozen=True)
-class World:
-    """What an episode depends on beside its number; all explainers of a policy share its episodes."""
+class Environment:
+    """What an episode depends on besides its number. All explainers of a policy share its episodes."""
 
     policy: Policy = field(compare=False)
     card: PolicyCard = field(compare=False)
@@ -32,7 +33,7 @@ class World:
     max_cycles: int | None
 
     @classmethod
-    def of(cls, request: Request, cell: Cell, keys: Keys) -> World:
+    def of(cls, request: Request, cell: Cell, keys: Keys) -> Environment:
         policy, card, sampling = request.policy, request.card, request.sampling
         key = keys.policy(policy, card)
         return cls(policy, card, key, cell, sampling.seed, sampling.max_cycles)
@@ -40,46 +41,46 @@ class World:
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive episodes of a world."""
+    """Consecutive episodes of an environment."""
 
-    world: World
-    first: int  # number of the first in its run
-    seeds: tuple[int, ...]  # of the environment
+    environment: Environment
+    first: int  # number of its first episode in the run
+    seeds: tuple[int, ...]  # environment seeds of its episodes
 
     def key(self) -> list[str | int | list[int] | None]:
-        world, seeds = self.world, list(self.seeds)
-        where = world.policy_key, world.cell.task, world.cell.n_agents
-        return [*where, world.seed, world.max_cycles, self.first, seeds]
+        environment, seeds = self.environment, list(self.seeds)
+        where = environment.policy_key, environment.cell.task, environment.cell.n_agents
+        return [*where, environment.seed, environment.max_cycles, self.first, seeds]
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A block's work of one kind. `key` names its result."""
+    """One kind of work on a block. `key` identifies its result."""
 
     kind: Kind
     block: Block
-    timesteps: int | None  # at most so many of each episode; None is all
-    explainer: str | None  # its name; None where none has a part in it
+    timesteps: int | None  # at most so many of each episode; None: all
+    explainer: str | None  # its name; None if no explainer is involved
     key: str
     source: Piece | None = None  # the episodes whose states are explained
 
     def __str__(self) -> str:
         block, last = self.block, self.block.first + len(self.block.seeds) - 1
         what = self.kind if self.explainer is None else f"{self.kind} by {self.explainer}"
-        return f"{block.world.card.name}, {what}, episodes {block.first}-{last}"
+        return f"{block.environment.card.name}, {what}, episodes {block.first}-{last}"
 
 
 @dataclass(frozen=True)
 class Needs:
-    """The pieces that a request's entry is made of, in the order of its episodes, for one cell."""
+    """The pieces of one cell of a request's entry, in the order of its episodes."""
 
-    world: World
+    environment: Environment
     episodes: tuple[Piece, ...]
-    mute: tuple[Piece, ...]  # the same without messages between agents
+    mute: tuple[Piece, ...]  # the same episodes without messages between agents
     shared: tuple[Piece, ...]
     explained: tuple[Piece, ...]
-    behaviour: tuple[Piece, ...]  # none where it is not asked for
-    random_behaviour: tuple[Piece, ...]  # of messages chosen at random: the floor
+    behaviour: tuple[Piece, ...]  # empty if the request does not ask for it
+    random_behaviour: tuple[Piece, ...]  # on messages chosen at random
 
     def __iter__(self) -> Iterator[Piece]:
         yield from self.episodes
@@ -91,17 +92,18 @@ class Needs:
 
 
 def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
-    world, sampling, n_played = World.of(request, cell, keys), request.sampling, request.behaviours(cell)
+    environment, sampling = Environment.of(request, cell, keys), request.sampling
+    n_played = request.behaviours(cell)
     name, its_key = request.explainer.name, keys.explainer(request.explainer)
 
     def played(kind: Kind) -> tuple[Piece, ...]:
         return tuple(
             Piece(kind, block, None, None, piece_key(kind, *block.key()))
-            for block in blocks(world, sampling.seeds, BLOCK)
+            for block in blocks(environment, sampling.seeds, BLOCK)
         )
 
     episodes = played("episodes")
-    acted = tuple(blocks(world, sampling.seeds[:n_played], BEHAVIOUR_BLOCK))
+    acted = tuple(blocks(environment, sampling.seeds[:n_played], BEHAVIOUR_BLOCK))
 
     def explained(kind: Kind, by: str | None, *keys: str) -> tuple[Piece, ...]:
         t = sampling.timesteps
@@ -116,7 +118,7 @@ def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
         )
 
     return Needs(
-        world,
+        environment,
         episodes,
         played("mute"),
         explained("shared", None, f"initial seed {request.card.initial_seed}"),
@@ -126,14 +128,14 @@ def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
     )
 
 
-def blocks(world: World, seeds: list[int], size: int) -> Iterator[Block]:
+def blocks(environment: Environment, seeds: list[int], size: int) -> Iterator[Block]:
     for first in range(0, len(seeds), size):
-        yield Block(world, first, tuple(seeds[first : first + size]))
+        yield Block(environment, first, tuple(seeds[first : first + size]))
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A request, and the pieces that it needs cell by cell."""
+    """A request, and the pieces that it needs for each cell."""
 
     request: Request
     needs: tuple[Needs, ...]

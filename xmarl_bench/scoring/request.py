@@ -1,4 +1,4 @@
-"""What to score, checked before anything runs: which policy and explainer, on which states."""
+"""What to score: which policy and explainer, on which states. Checked before anything runs."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from xmarl_bench.scoring.behaviour import why_no_behaviour
 
 @dataclass(frozen=True)
 class Request:
-    """One entry to be made. Raises InputError where the policy does not fit a cell."""
+    """One entry to make. Raises InputError if the policy does not fit a cell."""
 
     policy: Policy
     card: PolicyCard
     explainer: Explainer
     cells: tuple[Cell, ...]
     sampling: Sampling
-    # Episodes that the team also plays on the explanation: it is asked for at every step, which costs an
-    # optimising explainer far more than all of its other metrics. None is all, but none for slow explainers.
+    # Episodes that the team also plays on the explanation. The explainer is called at every step, which costs
+    # an optimising explainer far more than all its other metrics. None: all, or 0 for slow explainers.
     behaviour_episodes: int | None = None
 
     def __post_init__(self) -> None:
@@ -31,11 +31,11 @@ class Request:
             check_fit(self.card, cell)
         if self.behaviour_episodes is not None and self.behaviour_episodes < 0:
             raise InputError(
-                f"behaviour_episodes must be at least 0, got {self.behaviour_episodes}: 0 leaves them out."
+                f"behaviour_episodes must be at least 0, got {self.behaviour_episodes}: give 0 to play none."
             )
 
     def behaviours(self, cell: Cell) -> int:
-        """How many episodes of the cell are played on the explanation."""
+        """The number of episodes of the cell that are played on the explanation."""
         if why_no_behaviour(cell.n_agents) is not None:
             return 0
         if self.behaviour_episodes is None:
@@ -44,7 +44,7 @@ class Request:
 
 
 def check_fit(card: PolicyCard, cell: Cell) -> None:
-    """Raises InputError where the policy cannot act in the cell."""
+    """Raise InputError if the policy cannot act in the cell."""
     task = cell.make()
     if card.architecture.obs_dim != task.obs_dim:
         raise InputError(

@@ -1,6 +1,6 @@
-"""Results of pieces: in memory while they fit, in the cache as bytes.
+"""Results of pieces: in the cache as bytes, and the most recent ones in memory.
 
-Episodes are safetensors, everything else is JSON, whose numbers come back to the bit.
+Episodes are stored as safetensors, all other results as JSON, which keeps numbers bit for bit.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ JSON: dict[Kind, TypeAdapter[Any]] = {
     "behaviour": TypeAdapter(Played),
 }
 PLAYED: tuple[Kind, ...] = ("episodes", "mute")
-MEMORY = 64 * 2**20  # bytes, as they are in files
+MEMORY = 64 * 2**20  # bytes, by the size of their files
 
 
 class Results:
-    """The results of pieces. The last ones written or read stay in memory: nobody reads their files again."""
+    """The results of pieces. The last ones written or read stay in memory, so their files are read once."""
 
     def __init__(self, cache: Cache) -> None:
         self.cache = cache
@@ -64,8 +64,8 @@ class Results:
         result = self._find(piece)
         if result is None:
             raise InputError(
-                f"{self.cache.path(piece.key)} ({piece}) is gone or was changed: run the same command again, "
-                f"which computes what is missing."
+                f"{self.cache.path(piece.key)} ({piece}) was deleted or changed: run the same command again "
+                f"to compute it."
             )
         return result
 

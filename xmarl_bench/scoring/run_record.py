@@ -1,4 +1,4 @@
-"""What a run is to compute, written down as it begins: `xmarl-bench status` says how far it is."""
+"""The record of a run's pieces, written when it begins. `xmarl-bench status` shows progress from it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Asked:
 
     policy: str
     explainer: str
-    own: list[str]  # keys of the pieces that are this explainer's alone
+    own: list[str]  # keys of the pieces of this explainer only
     shared: list[str]
 
     @property
@@ -35,7 +35,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """One run: the latest into its folder."""
+    """The latest run that writes to a folder."""
 
     out: str
     command: str
@@ -93,7 +93,7 @@ class RunRecord:
 class Progress:
     """How far a run is."""
 
-    running: bool | None  # None: it is on another machine
+    running: bool | None  # None: unknown, because it runs on another machine
     done: int
     pieces: int
     entries: int  # complete
@@ -105,7 +105,7 @@ ADAPTER = TypeAdapter(RunRecord)
 
 
 def run_records(cache: Cache) -> Iterator[RunRecord]:
-    """Of all runs whose folder is still there. Skips invalid files."""
+    """Records of all runs whose folder still exists. Skips invalid files."""
     for path in sorted((cache.folder / RUNS).glob("*.json")):
         try:
             record = ADAPTER.validate_json(path.read_bytes())

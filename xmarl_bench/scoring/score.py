@@ -1,7 +1,7 @@
-"""Scores explainers on policies: has the pieces computed that are missing, and makes entries of them.
+"""Scores explainers on policies: computes the missing pieces, and makes entries of all pieces.
 
-Bytes of an entry outside `provenance` and `cost` are the same for any workers, any number of parallel
-episodes, and whether it was made in one go or of what earlier runs had finished.
+An entry, apart from `provenance` and `cost`, has the same bytes for any workers and any number of parallel
+episodes, and whether its pieces come from one run or several.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from xmarl_bench.scoring.sweep import Sweep
 
 @dataclass(frozen=True)
 class Failed:
-    """A request of which there is no entry, and why."""
+    """A request that failed, and why."""
 
     request: Request
     error: str
@@ -68,20 +68,20 @@ def score(
     """Score one explainer on one policy in one cell.
 
     Args:
-        policy: a registered name, the folder or zip of a bundle, `module:factory`, what `load_policy`
-            returns, or a network of your own as a `PolicyModule`.
-        explainer: a registered name, `path/to/file.py:Name`, `module:Name`, an `Explainer`, or what
-            `as_explainer` makes one of: a function, a class, an algorithm of torch_geometric.explain.
-        task, n_agents: what the policy was trained for by default.
+        policy: a registered name, the folder or zip of a bundle, `module:factory`, the result of
+            `load_policy`, or a network of your own as a `PolicyModule`.
+        explainer: a registered name, `path/to/file.py:Name`, `module:Name`, an `Explainer`, or anything that
+            `as_explainer` accepts: a function, a class, an algorithm of torch_geometric.explain.
+        task, n_agents: by default those that the policy was trained for.
         episodes, timesteps, max_cycles, seed: which states, see `Sampling`.
-        behaviour_episodes: how many of the episodes the team also plays on the explanation, which asks the
-            explainer at every step; all by default, none for explainers that declare themselves slow.
+        behaviour_episodes: how many of the episodes the team also plays on the explanation, which calls the
+            explainer at every step; by default all, or none if the explainer declares itself slow.
         jobs: processes.
-        parallel_episodes: episodes stepped side by side in a process.
-        trust_code: run the code that a policy brings, where `policy` names such a one.
-        cache: folder of the pieces that need not be computed again, see `Cache`; by default nothing is kept.
+        parallel_episodes: episodes stepped in parallel in a process.
+        trust_code: run the code of the policy, if it has its own.
+        cache: folder of the cache, see `Cache`; by default nothing is kept.
 
-    Raises InputError for anything wrong with these, and where the explainer fails.
+    Raises InputError if an argument is invalid or the explainer fails.
     """
     if isinstance(policy, str | Path):
         network, card = open_policy(str(policy), trust_code=trust_code)
@@ -118,12 +118,12 @@ def score_requests(
     fresh: bool = False,
     out: Path | None = None,
 ) -> Iterator[Entry | Failed]:
-    """Yield an entry per request, in order, each as soon as it is complete; or why there is none.
+    """Yield an entry per request, in order, each as soon as it is complete; or why the request failed.
 
-    cache: where pieces are looked for and kept, a temporary one by default. fresh: compute again what it
-    holds. out: where the entries will go, for `xmarl-bench status`. Raises InputError before anything is
-    yielded where an explainer works on no policy at all, where two explainers share a name, and where
-    results cannot be written.
+    cache: where pieces are read and kept, a temporary one by default. fresh: compute pieces again that it
+    holds. out: folder of the entries, for `xmarl-bench status`. Raises InputError before anything is yielded
+    if an explainer works on no policy at all, if two explainers share a name, or if results cannot be
+    written.
     """
     check_parallel(parallel_episodes)
     explainers, started = _by_name(requests), now()
@@ -152,7 +152,7 @@ def score_requests(
 
 
 def entries_of(outcomes: Iterable[Entry | Failed]) -> Iterator[Entry]:
-    """The entries, where one that failed is one too many: raises InputError with its error."""
+    """The entries. Raises InputError with the error of the first that failed."""
     for outcome in outcomes:
         if isinstance(outcome, Failed):
             raise InputError(outcome.error)
@@ -160,7 +160,7 @@ def entries_of(outcomes: Iterable[Entry | Failed]) -> Iterator[Entry]:
 
 
 def _by_name(requests: Sequence[Request]) -> dict[str, Explainer]:
-    """Raises InputError where two explainers share a name: entries are filed by it."""
+    """Explainers by name. Raises InputError if two share a name, because files of entries are named by it."""
     explainers: dict[str, Explainer] = {}
     for request in requests:
         explainer = request.explainer
@@ -204,7 +204,7 @@ def _entry(
 
 
 def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:
-    """What an entry says of its explainer. seed: of the run."""
+    """The record of an explainer in an entry. seed: of the run."""
     origin = origin_of_explainer(explainer)
     return ExplainerRecord(
         name=explainer.name,

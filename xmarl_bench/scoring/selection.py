@@ -1,4 +1,4 @@
-"""From names to requests: which policies, explainers and cells a command means."""
+"""From names to requests: selects the policies, explainers and cells of a command."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Opened = tuple[Policy, PolicyCard]
 
 @dataclass(frozen=True)
 class Installed:
-    """A policy of which the card alone was read."""
+    """A policy of which only the card was read."""
 
     card: PolicyCard
     open: Callable[[], Opened]
@@ -41,11 +41,10 @@ def select_policies(
 ) -> list[tuple[Policy, PolicyCard, tuple[Cell, ...]]]:
     """The policies to run, each with its cells.
 
-    `all` policies are those trained for one of the tasks and team sizes asked for; those that bring code are
-    among them with `trust_code` only. `finished` are these but for checkpoints along training, the name of a
-    family those of the finished that belong to it, and `default` the best seed of each cell, of
-    DEFAULT_FAMILY where the cell has one. A policy asked for by name, bundle or module:factory runs with
-    every team size asked for, or with its own for `all`.
+    `all`: the policies trained for one of the given tasks and team sizes; those with their own code only with
+    `trust_code`. `finished`: the same without checkpoints along training. The name of a family: the finished
+    ones that belong to it. `default`: the best seed of each cell, of DEFAULT_FAMILY if the cell has one. A
+    policy given by name, bundle or module:factory runs with every given team size, or its own for `all`.
     """
     sizes = _sizes(agents)
     for task in tasks:
@@ -73,14 +72,14 @@ def select_policies(
     for name, open_it in chosen.items():
         policy, card = open_it()
         check_task(card.task)
-        # One name stands for one policy in a run, for entries are filed by it.
+        # Names of policies are unique in a run, because files of entries are named by them.
         if any(card.name == other.name for _, other, _ in selected):
             raise InputError(
                 f"two policies are named {card.name!r} ({name} is one): rename one, or leave it out."
             )
         cells = tuple(Cell(card.task, n) for n in (sizes or [card.n_agents]))
         if card.task not in wanted_tasks:
-            check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # says why not
+            check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # raises the reason
         for cell in cells:
             check_fit(card, cell)
         selected.append((policy, card, cells))
@@ -88,7 +87,7 @@ def select_policies(
 
 
 def _meant(names: Sequence[str], trust_code: bool) -> dict[str, Installed] | None:
-    """The policies that words for many mean, by name; None where each is named by itself."""
+    """The policies meant by `all`, `finished`, `default` or a family, by name; None without such a word."""
     installed, failures = registered_policies()
     if not set(names) - set(installed):
         return None
@@ -104,7 +103,7 @@ def _meant(names: Sequence[str], trust_code: bool) -> dict[str, Installed] | Non
     words = {ALL, FINISHED, DEFAULT, *(each.card.family for each in found.values())} & set(names)
     if not words:
         return None
-    if failures:  # of a policy that may be meant
+    if failures:  # the policy that failed may be meant
         raise failures[0]
     if trust_code:
         for name, place in installed.items():
@@ -128,7 +127,7 @@ def _already(opened: Opened) -> Opened:
 
 
 def select_explainers(names: Sequence[str]) -> list[Explainer]:
-    """`all` leaves controls out, for every entry carries them."""
+    """Explainers by name; `all` omits controls, because every entry contains them."""
     everything = [name for name in explainer_names() if name not in CONTROLS]
     return [find_explainer(name) for name in (everything if ALL in names else dict.fromkeys(names))]
 
@@ -144,15 +143,15 @@ def plan(
 ) -> list[Request]:
     """One request per policy and explainer.
 
-    slow: the sampling of explainers that declare themselves slow. Where the run has such, the others are
-    scored on it as well as on `sampling`: entries are compared on the same states or not at all.
-    behaviour_episodes, no_behaviour: see `Request.behaviour_episodes`, and explainers that get none; ALL is
-    all of them. Raises InputError where one of these names is of no explainer of the run.
+    slow: the sampling of explainers that declare themselves slow. If the run has one, the others are scored
+    on it as well as on `sampling`, because entries are compared on the same states only.
+    behaviour_episodes: see `Request.behaviour_episodes`. no_behaviour: names of explainers with none of
+    these, or ALL. Raises InputError if such a name is not an explainer of the run.
     """
     names = [explainer.name for explainer in explainers]
     for name in no_behaviour:
         if name != ALL and name not in names:
-            raise unknown("explainer", name, [*names, ALL], "for those are what is scored")
+            raise unknown("explainer", name, [*names, ALL], "the explainers of this run")
     any_slow = slow is not None and slow != sampling and any(explainer.slow for explainer in explainers)
     requests = []
     for policy, card, cells in policies:
@@ -173,4 +172,6 @@ def _sizes(agents: Sequence[str]) -> list[int] | None:
     try:
         return [int(text) for text in dict.fromkeys(agents)]
     except ValueError:
-        raise InputError(f"agents must be a number or {ALL!r}, got {', '.join(agents)}.") from None
+        raise InputError(
+            f"agents must be numbers or {ALL!r}, got {', '.join(agents)}: give team sizes, or {ALL!r}."
+        ) from None

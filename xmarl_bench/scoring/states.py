@@ -1,4 +1,4 @@
-"""What the metrics of every explainer on the same states share, computed once: F(1), the oracle's tables.
+"""Computations that the metrics of all explainers on the same states share: F(1), the oracle's tables.
 
 S is the number of timesteps explained, N agents, D observation entries.
 """
@@ -50,12 +50,12 @@ Edges = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Ranking:
-    """What rankings of M senders are placed between: see xmarl_bench.metrics.budgeted_fidelity."""
+    """Scores rankings of M senders between random and best: see xmarl_bench.metrics.budgeted_fidelity."""
 
     delta: Floats  # (2^M, S, N) FidDelta of every row
     random: Floats  # (M - 1,)
     oracle: Floats  # (M - 1,)
-    edges: Edges | None  # (S, N, M), which senders there are; None is all
+    edges: Edges | None  # (S, N, M), the senders that exist; None: all
 
     @classmethod
     def of(cls, change: Floats, edges: Edges | None) -> Ranking:
@@ -63,7 +63,7 @@ class Ranking:
         return cls(delta, random_at_k(delta, edges), oracle_at_k(delta, edges), edges)
 
     def score(self, share: Floats) -> Ranked:
-        """The `choices` of a mask -> what its ranking scores."""
+        """The `choices` of a mask -> the score of its ranking."""
         explained = fid_delta_at_k(self.delta, share, self.edges)
         budgeted = budgeted_fidelity(explained, self.random, self.oracle)
         return Ranked(explained, self.random, self.oracle, budgeted)
@@ -71,7 +71,7 @@ class Ranking:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A mask's FidDelta@k, k = 1 .. M - 1, and what it is placed between; that is None without a table."""
+    """FidDelta@k, k = 1 .. M - 1, of a mask, of a random ranking and of the best; None without a table."""
 
     explained: Floats
     random: Floats | None
@@ -89,29 +89,29 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Rankings:
-    """What a mask's rankings score: of all edges, and of the messages under each absence model there is."""
+    """Scores of a mask's rankings: of all edges, and of messages under each absence model measured."""
 
     all_edges: Ranked
     messages: dict[Absence, Ranked]  # zero first
 
     def records(self) -> dict[str, BudgetRow]:
-        """The budgets of an episode's row."""
+        """The budgets in the row of an episode."""
         under = {f"{absence.prefix}_budget": each.record() for absence, each in self.messages.items()}
         return {"budget": self.all_edges.record(), **under}
 
 
 @dataclass(frozen=True)
 class States:
-    """The states of one episode that are explained, and what does not depend on the mask."""
+    """The explained states of one episode, with everything that does not depend on the mask."""
 
     policy: Policy
     observations: Tensor  # (S, N, D)
-    edges: Edges | None  # (S, N, N), those of the policy's graph; None is the complete one
+    edges: Edges | None  # (S, N, N), edges of the policy's graph; None: the complete graph
     prepared: Any
     full: ActionDistribution  # F(1)
-    noise: Floats  # (S, N, N): without a table it decides between equal values of a mask, the same for all
-    all_edges: Ranking | None  # None where the policy or the team has no oracle
-    messages: dict[Absence, Ranking]  # those that there are
+    noise: Floats  # (S, N, N): breaks ties of masks if there is no table, in the same way for all masks
+    all_edges: Ranking | None  # None if the policy or the team has no oracle
+    messages: dict[Absence, Ranking]  # for each absence model that can be measured
     oracle_mask: Tensor | None  # (S, N, N)
 
     @classmethod
@@ -119,7 +119,7 @@ class States:
     def of(
         cls, policy: Policy, observations: Tensor, rng: np.random.Generator, reference: Tensor | None = None
     ) -> States:
-        """reference: (Q, N, D), of which messages stand in for those taken away; None measures zero alone."""
+        """reference: (Q, N, D), states whose messages replace removed ones; None: measure zero only."""
         n_steps, n_agents, _ = observations.shape
         edges = existing_edges(policy, observations)
         others = None if edges is None else other_senders(edges)
@@ -151,14 +151,14 @@ class States:
 
     @torch.no_grad()
     def mask_metrics(self, mask: Tensor) -> ExplanationRow:
-        """Metrics of a mask (S, N, N), over the S timesteps together. What is not a number is None."""
+        """Metrics of a mask (S, N, N) over the S timesteps; None for a metric that is not a number."""
         return self._values(mask, self._rankings(mask), *self._sides(mask))
 
     @torch.no_grad()
     def with_inverse(self, mask: Tensor) -> tuple[ExplanationRow, dict[str, BudgetRow], ExplanationRow]:
-        """Metrics of a mask, its FidDelta at every budget, metrics of 1 - mask.
+        """Metrics of a mask, its FidDelta at every budget, and metrics of 1 - mask.
 
-        The inverse needs no forward of its own, for what one mask keeps the other drops.
+        The inverse needs no forward pass of its own, because one mask drops what the other keeps.
         """
         kept, dropped, heard, unheard = self._sides(mask)
         rankings, inverse = self._rankings(mask), 1.0 - mask
@@ -171,7 +171,7 @@ class States:
     def _rankings(self, mask: Tensor) -> Rankings:
         senders = mask.numpy()
         others = other_senders(senders)
-        if self.all_edges is None:  # no tables at all
+        if self.all_edges is None:  # no tables
             own = torch.eye(mask.shape[-1])
             return Rankings(
                 self._by_forwards(senders, self.noise, torch.zeros_like(own)),
@@ -184,7 +184,7 @@ class States:
         )
 
     def _sides(self, mask: Tensor) -> Iterator[ActionDistribution]:
-        """F of the mask and of its complement; then of both with every agent's own edge kept."""
+        """F of the mask and of its complement, then of both with every agent's own edge kept."""
         own = torch.eye(mask.shape[-1]).expand_as(mask)
         masks = (mask, 1.0 - mask, torch.maximum(mask, own), torch.maximum(1.0 - mask, own))
         return map(self._decode, masks)
@@ -224,13 +224,13 @@ class States:
         return ExplanationRow.model_validate({name: number(value) for name, value in values.items()})
 
     def _mass(self, senders: NDArray[np.floating]) -> float:
-        """Over the timesteps at which the graph has an edge at all."""
+        """Mask mass over the timesteps at which the graph has an edge."""
         mass = mask_mass(senders, self.edges)
         return math.nan if np.isnan(mass).all() else float(np.nanmean(mass))
 
     @torch.no_grad()
     def policy_metrics(self) -> PolicyRow:
-        """What is the policy's and no explainer's; None too where nothing attends."""
+        """Metrics that depend on the policy only. Those of attention are None if the policy has none."""
         n_agents = self.observations.shape[1]
         alone = self._decode(torch.eye(n_agents).repeat(len(self.observations), 1, 1))
         change = prediction_change(_action(self.full), _action(alone), self.full.divisor)
@@ -244,7 +244,7 @@ class States:
         return PolicyRow.model_validate({name: number(value) for name, value in values.items()})
 
     def _decode(self, mask: Tensor) -> ActionDistribution:
-        """One mask at a time: in a batch of another size F(1) would not be F(1) to the bit."""
+        """Decode one mask at a time: F(1) has other bits in a batch of another size."""
         return self.policy.decode(self.prepared, mask)
 
     def _fidelity(self, kept: ActionDistribution, dropped: ActionDistribution) -> Fidelity:
@@ -259,9 +259,9 @@ class States:
         return kl_divergence(full.loc.numpy(), full.scale.numpy(), kept.loc.numpy(), kept.scale.numpy())
 
     def _by_forwards(self, senders: NDArray[np.floating], noise: Floats, always: Tensor) -> Ranked:
-        """FidDelta@k by decoding each mask, and no budgeted fidelity.
+        """FidDelta@k by decoding each mask, without budgeted fidelity.
 
-        always: (N, N), edges kept in subgraph and complement.
+        always: (N, N), edges kept in both subgraph and complement.
         """
         ranked = ~always.bool().numpy()
         edges = None if self.edges is None else self.edges[:, ranked].reshape(senders.shape)
@@ -275,7 +275,7 @@ class States:
 
 
 def number(value: float) -> float | None:
-    """JSON has no NaN: what is not a finite number is None, and is counted as `n_nan` further on."""
+    """The value; None if it is not finite, because JSON has no NaN. Means count these as `n_nan`."""
     return float(value) if math.isfinite(value) else None
 
 

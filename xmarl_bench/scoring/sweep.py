@@ -1,7 +1,7 @@
-"""Computes the pieces that the cache lacks, on however many workers, and files each result as it comes.
+"""Computes the pieces missing from the cache, on any number of workers, and writes each result as it comes.
 
-The parent alone reads and writes the cache: workers are handed policy and observations, and need no file
-system in common. A piece that fails is recorded with its error and stops no other.
+Only the parent reads and writes the cache: workers receive policy and observations, and need no shared file
+system. A piece that fails is recorded with its error and does not stop the others.
 """
 
 from __future__ import annotations
@@ -21,53 +21,53 @@ from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.rollout.episodes import Episode, Rollout
 from xmarl_bench.scoring.behaviour import BehaviourBlock, Played
-from xmarl_bench.scoring.carried import Carried
 from xmarl_bench.scoring.measure import Explained, Measured, Unit
-from xmarl_bench.scoring.pieces import Piece, World
+from xmarl_bench.scoring.pieces import Environment, Piece
+from xmarl_bench.scoring.policy_payload import PolicyPayload
 from xmarl_bench.scoring.results import PLAYED, Result, Results
 
-Group = tuple[Piece, ...]  # of the same states, which one worker prepares once; or one block to act out
-Load = tuple[Unit, ...] | BehaviourBlock | str  # a group; a text is why it cannot be had
-Handed = Carried[Load]
+Group = tuple[Piece, ...]  # pieces on the same states, which a worker prepares once; or one behaviour piece
+Work = tuple[Unit, ...] | BehaviourBlock | str  # the work of a group; a text: why it cannot be prepared
+Payload = PolicyPayload[Work]
 Returned = list[Measured] | Played | InputError
 
 
-def play(rollout: Carried[Rollout]) -> list[Episode]:
-    """What a worker does first."""
-    return rollout.load.play()
+def play(rollout: PolicyPayload[Rollout]) -> list[Episode]:
+    """On a worker: play episodes."""
+    return rollout.work.play()
 
 
-def run(handed: Handed) -> Returned:
-    """What a worker does then."""
-    load = handed.load
-    if isinstance(load, str):
-        raise InputError(load)
-    if isinstance(load, BehaviourBlock):
-        return load.run()
-    return [unit.run() for unit in load]
+def run(payload: Payload) -> Returned:
+    """On a worker: explain and measure a group, or roll out a behaviour block."""
+    work = payload.work
+    if isinstance(work, str):
+        raise InputError(work)
+    if isinstance(work, BehaviourBlock):
+        return work.run()
+    return [unit.run() for unit in work]
 
 
 @dataclass
 class Sweep:
-    """One run over all that is missing, by the keys of the pieces: which are to come, and why some failed."""
+    """One run over all missing pieces. Tracks by key which are unsettled and why some failed."""
 
     results: Results
     explainers: dict[str, Explainer]  # by name
     workers: Workers
     parallel_episodes: int
     progress: bool
-    proven: set[str] = field(default_factory=set)  # explainers that have worked before
+    proven: set[str] = field(default_factory=set)  # explainers that have worked at least once
     unsettled: set[str] = field(default_factory=set)
     errors: dict[str, str] = field(default_factory=dict)
-    _ready: dict[tuple[World, str], Explainer] = field(default_factory=dict)  # fitted to the world's policy
-    _references: dict[World, Tensor | None] = field(default_factory=dict)
-    _known_controls: dict[World, tuple[Explainer, ...]] = field(default_factory=dict)
+    _ready: dict[tuple[Environment, str], Explainer] = field(default_factory=dict)  # fitted to its policy
+    _references: dict[Environment, Tensor | None] = field(default_factory=dict)
+    _known_controls: dict[Environment, tuple[Explainer, ...]] = field(default_factory=dict)
 
     def compute(self, pieces: Iterable[Piece]) -> Iterator[Piece]:
-        """Each missing piece once, when it is settled: filed, or one of `errors`.
+        """Yield each missing piece once it is settled: written to the cache, or in `errors`.
 
-        Raises InputError before anything is explained where an explainer works on no policy at all, and
-        where the cache cannot be written.
+        Raises InputError before anything is explained if an explainer works on no policy at all, and if the
+        cache cannot be written.
         """
         missing = dict[str, Piece]()
         for piece in pieces:
@@ -101,50 +101,52 @@ class Sweep:
         for k, episodes in fan_out(play, units, workers=self.workers, total=len(pieces), progress=title):
             yield self._settle(pieces[k], episodes)
 
-    def _rollout(self, piece: Piece) -> Carried[Rollout]:
-        world = piece.block.world
+    def _rollout(self, piece: Piece) -> PolicyPayload[Rollout]:
+        environment = piece.block.environment
         rollout = Rollout(
-            world.policy,
-            world.cell.task,
-            world.cell.n_agents,
+            environment.policy,
+            environment.cell.task,
+            environment.cell.n_agents,
             piece.block.seeds,
-            world.max_cycles,
+            environment.max_cycles,
             messages=piece.kind == "episodes",
             parallel_episodes=self.parallel_episodes,
         )
-        return Carried(rollout, world.policy)
+        return PolicyPayload(rollout, environment.policy)
 
     def _make_ready(self, pieces: Sequence[Piece]) -> Iterator[Piece]:
-        """Fit explainers that learn to the policies, and try each on one timestep, until it works on one."""
-        worlds: dict[str, dict[World, list[Piece]]] = {}
+        """Fit explainers that need it, and try each explainer on one timestep of policies until it works."""
+        environments: dict[str, dict[Environment, list[Piece]]] = {}
         for piece in pieces:
             if piece.explainer is not None:
-                worlds.setdefault(piece.explainer, {}).setdefault(piece.block.world, []).append(piece)
-        for name, its_worlds in worlds.items():
+                environments.setdefault(piece.explainer, {}).setdefault(piece.block.environment, []).append(
+                    piece
+                )
+        for name, its_environments in environments.items():
             works, reasons = name in self.proven, []
-            for world, its_pieces in its_worlds.items():
+            for environment, its_pieces in its_environments.items():
                 try:
-                    self._fit(name, world)
-                    works = works or self._try(name, world, its_pieces)
+                    self._fit(name, environment)
+                    works = works or self._try(name, environment, its_pieces)
                 except InputError as error:
                     reasons.append(error)
                     for piece in its_pieces:
                         self.errors[piece.key] = str(error)
             if reasons and not works:
                 raise reasons[0]
-            for its_pieces in its_worlds.values():
+            for its_pieces in its_environments.values():
                 for piece in its_pieces:
                     if piece.key in self.errors:
                         yield self._settle(piece, InputError(self.errors[piece.key]))
 
-    def _fit(self, name: str, world: World) -> None:
-        cell = world.cell
-        self._ready[world, name] = fitted(
-            self.explainers[name], world.policy, cell.task, cell.n_agents, world.seed
+    def _fit(self, name: str, environment: Environment) -> None:
+        cell = environment.cell
+        self._ready[environment, name] = fitted(
+            self.explainers[name], environment.policy, cell.task, cell.n_agents, environment.seed
         )
 
-    def _try(self, name: str, world: World, pieces: Sequence[Piece]) -> bool:
-        """Whether it was tried: acting out needs no states that it could be tried on. Raises InputError."""
+    def _try(self, name: str, environment: Environment, pieces: Sequence[Piece]) -> bool:
+        """Whether the explainer was tried: behaviour pieces have no states for this. Raises InputError."""
         piece = next((each for each in pieces if each.source is not None), None)
         if piece is None:
             return False
@@ -155,9 +157,9 @@ class Sweep:
         return True
 
     def _explain(self, groups: Sequence[Group]) -> Iterator[Piece]:
-        """Where a whole group fails its pieces are computed one by one, so that blame is exact."""
+        """If a whole group fails, its pieces are computed one by one, to find which one fails."""
         again: list[Group] = []
-        units = (self._hand(group) for group in groups)
+        units = (self._payload(group) for group in groups)
         title = "explain" if self.progress else None
         for k, result in fan_out(run, units, workers=self.workers, total=len(groups), progress=title):
             group = groups[k]
@@ -169,57 +171,57 @@ class Sweep:
         if again:
             yield from self._explain(again)
 
-    def _hand(self, group: Group) -> Handed:
-        """Never raises: it is called wherever the next unit is wanted, not where a unit fails."""
+    def _payload(self, group: Group) -> Payload:
+        """Never raises, because fan_out calls it when it needs the next unit: the worker raises the error."""
         piece = group[0]
-        load: Load
+        work: Work
         try:
-            load = self._acting(piece) if piece.source is None else self._units(group)
+            work = self._acting(piece) if piece.source is None else self._units(group)
         except InputError as error:
-            load = str(error)
-        return Carried(load, piece.block.world.policy)
+            work = str(error)
+        return PolicyPayload(work, piece.block.environment.policy)
 
     def _units(self, group: Group) -> tuple[Unit, ...]:
         piece = group[0]
-        world, source = piece.block.world, piece.source
+        environment, source = piece.block.environment, piece.source
         assert source is not None
         names = [each.explainer for each in group if each.explainer is not None]
         return tuple(
             Unit(
-                world.policy,
-                tuple(self._ready[world, name] for name in names),
+                environment.policy,
+                tuple(self._ready[environment, name] for name in names),
                 episode,
-                world.seed,
+                environment.seed,
                 piece.timesteps,
                 sanity=k < SANITY_EPISODES,
-                reference=self._reference(world),
-                controls=self._controls(world),
+                reference=self._reference(environment),
+                controls=self._controls(environment),
                 shared=any(each.kind == "shared" for each in group),
             )
             for k, episode in enumerate(self.results.episodes(source), start=piece.block.first)
         )
 
-    def _reference(self, world: World) -> Tensor | None:
-        if world not in self._references:
-            cell = world.cell
-            self._references[world] = reference_states(world.policy, cell.task, cell.n_agents)
-        return self._references[world]
+    def _reference(self, environment: Environment) -> Tensor | None:
+        if environment not in self._references:
+            cell = environment.cell
+            self._references[environment] = reference_states(environment.policy, cell.task, cell.n_agents)
+        return self._references[environment]
 
-    def _controls(self, world: World) -> tuple[Explainer, ...]:
-        if world not in self._known_controls:
-            self._known_controls[world] = controls_of(world.cell.task, world.card)
-        return self._known_controls[world]
+    def _controls(self, environment: Environment) -> tuple[Explainer, ...]:
+        if environment not in self._known_controls:
+            self._known_controls[environment] = controls_of(environment.cell.task, environment.card)
+        return self._known_controls[environment]
 
     def _acting(self, piece: Piece) -> BehaviourBlock:
-        world, name = piece.block.world, piece.explainer
-        explainer = None if name is None else self._ready[world, name]
+        environment, name = piece.block.environment, piece.explainer
+        explainer = None if name is None else self._ready[environment, name]
         return BehaviourBlock(
-            world.policy, explainer, world.cell.task, world.cell.n_agents, piece.block.seeds, world.seed,
-            world.max_cycles,
+            environment.policy, explainer, environment.cell.task, environment.cell.n_agents,
+            piece.block.seeds, environment.seed, environment.max_cycles,
         )  # fmt: skip
 
     def _settle(self, piece: Piece, result: object) -> Piece:
-        """File what was computed, or why it was not."""
+        """Write the result to the cache, or record the error."""
         self.unsettled.discard(piece.key)
         if isinstance(result, Failure):
             self.errors[piece.key] = result.error
@@ -233,7 +235,7 @@ class Sweep:
 
 
 def _value(piece: Piece, returned: Returned) -> Result | InputError:
-    """The result of one piece out of what a worker returned."""
+    """The result of one piece from a worker's return value."""
     if isinstance(returned, InputError | Played):
         return returned
     if piece.explainer is None:

@@ -31,7 +31,7 @@ from xmarl_bench.scoring.measure import Unit
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.run_record import run_records
 from xmarl_bench.scoring.score import Failed, score_requests
-from xmarl_bench.scoring.sweep import Handed, run
+from xmarl_bench.scoring.sweep import Payload, run
 
 pytestmark = pytest.mark.slow
 
@@ -45,7 +45,7 @@ def request(folder: Path, explainer: Explainer | str = "attention", sampling: Sa
 
 
 class Spy:
-    """What workers were handed: rollouts, and groups by the explainers in them."""
+    """What workers received: rollouts, and groups by the explainers in them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.seen: list[str] = []
@@ -56,13 +56,13 @@ class Spy:
                 self.seen.append(f"play {len(rollout.seeds)}")
             return play(rollout)
 
-        def spied_run(handed: Handed) -> object:
-            units = handed.load
+        def spied_run(payload: Payload) -> object:
+            units = payload.work
             if isinstance(units, tuple):
                 unit: Unit = units[0]
                 names = [each.name for each in unit.explainers] + ["shared"] * unit.shared
                 self.seen.append(f"{' '.join(names)} {len(units)}")
-            return run(handed)
+            return run(payload)
 
         monkeypatch.setattr(Rollout, "play", spied_play)
         monkeypatch.setattr(module, "run", spied_run)
@@ -163,11 +163,11 @@ def test_blame_is_exact_where_a_whole_group_fails(
 ) -> None:
     """As where memory ends, which no explainer can be asked about."""
 
-    def out_of_memory(handed: Handed) -> object:
-        units = handed.load
+    def out_of_memory(payload: Payload) -> object:
+        units = payload.work
         if isinstance(units, tuple) and any(each.name == "occlusion" for each in units[0].explainers):
             raise MemoryError("no more")
-        return run(handed)
+        return run(payload)
 
     monkeypatch.setattr(module, "run", out_of_memory)
     folder = make_bundle()

@@ -14,19 +14,19 @@ from tests.helpers.policies import small_policy
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import Policy
-from xmarl_bench.scoring.carried import POLICIES_KEPT, Carried
+from xmarl_bench.scoring.policy_payload import POLICIES_KEPT, PolicyPayload
 
 Work = tuple[Policy, str]
 
 
-def there(carried: Carried[Work]) -> Work:
+def there(payload: PolicyPayload[Work]) -> Work:
     """As a worker finds it."""
-    arrived: Carried[Work] = pickle.loads(cloudpickle.dumps(carried))
-    return arrived.load
+    arrived: PolicyPayload[Work] = pickle.loads(cloudpickle.dumps(payload))
+    return arrived.work
 
 
-def work(policy: Policy, rest: str) -> Carried[Work]:
-    return Carried((policy, rest), policy)
+def work(policy: Policy, rest: str) -> PolicyPayload[Work]:
+    return PolicyPayload((policy, rest), policy)
 
 
 def test_one_policy_for_all_pieces_with_the_same_weights() -> None:
@@ -59,7 +59,7 @@ def test_few_are_kept() -> None:
 
 def test_in_this_process_nothing_is_copied() -> None:
     policy = small_policy(6)
-    assert work(policy, "").load[0] is policy
+    assert work(policy, "").work[0] is policy
 
 
 @pytest.mark.slow

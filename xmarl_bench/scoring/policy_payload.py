@@ -1,4 +1,4 @@
-"""Work on its way to a worker, which loads each policy once, however many pieces of its work it is handed."""
+"""Work for a worker, pickled with its policy apart, so that a worker loads each policy only once."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ import cloudpickle
 
 from xmarl_bench.policy import Policy
 
-Load = TypeVar("Load")
-POLICIES_KEPT = 2  # by a worker: pieces of one policy follow one another
+Work = TypeVar("Work")
+POLICIES_KEPT = 2  # by a worker: pieces of one policy come one after another
 
 
-class Carried(Generic[Load]):
-    """`load` as it is in this process; pickled, its policy travels apart from the rest.
+class PolicyPayload(Generic[Work]):
+    """Holds `work`; pickling it separates the policy from the rest.
 
-    Policies are told apart by their bytes: one whose weights have changed in the meantime is another one.
+    Policies are identified by their bytes: one whose weights have changed is another policy.
     """
 
-    def __init__(self, load: Load, policy: Policy) -> None:
-        self.load = load
+    def __init__(self, work: Work, policy: Policy) -> None:
+        self.work = work
         self._policy = policy
 
     def __reduce__(self) -> tuple[Any, ...]:
         rest = io.BytesIO()
-        _Pickler(rest, self._policy).dump(self.load)
+        _Pickler(rest, self._policy).dump(self.work)
         return _arrived, (bytes(cloudpickle.dumps(self._policy)), rest.getvalue())
 
 
-def _arrived(policy: bytes, rest: bytes) -> Carried[Any]:
+def _arrived(policy: bytes, rest: bytes) -> PolicyPayload[Any]:
     network = _loaded(policy)
-    return Carried(_Unpickler(io.BytesIO(rest), network).load(), network)
+    return PolicyPayload(_Unpickler(io.BytesIO(rest), network).load(), network)
 
 
 @lru_cache(maxsize=POLICIES_KEPT)
@@ -54,7 +54,7 @@ class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]
 
 
 class _Unpickler(pickle.Unpickler):
-    """Puts the policy in its place again."""
+    """Puts the policy back in its place."""
 
     def __init__(self, file: io.BytesIO, policy: Policy) -> None:
         super().__init__(file)

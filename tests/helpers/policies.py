@@ -11,11 +11,17 @@ ROUNDING = 2**-18
 
 
 def small_policy(
-    obs_dim: int, seed: int = 0, encoder: tuple[int, ...] = (7,), *, residual: bool = False
+    obs_dim: int,
+    seed: int = 0,
+    encoder: tuple[int, ...] = (7,),
+    *,
+    residual: bool = False,
+    categorical: bool = False,
 ) -> GraphPolicy:
-    """A policy of few weights, large enough that messages matter."""
+    """A policy of few weights, large enough that messages matter. categorical: over the five actions."""
     architecture = Architecture(
         obs_dim=obs_dim,
+        action_dim=5 if categorical else 2,
         encoder=encoder,
         encoder_activation="relu",
         gat_width=8,
@@ -23,6 +29,7 @@ def small_policy(
         residual=residual,
         decoder=(9,),
         decoder_activation="tanh",
+        distribution="categorical" if categorical else "tanh_normal",
     )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

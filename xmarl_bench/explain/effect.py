@@ -12,11 +12,15 @@ S is the number of timesteps, N agents, A action entries.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from xmarl_bench.metrics import categorical_kl, kl_divergence
 from xmarl_bench.policy import ActionDistribution, Policy
 
 NORMALISER = "0.5 + a / (2 max |a|) over the row"  # what `signed_to_unit` does, as entries record it
@@ -25,6 +29,18 @@ NORMALISER = "0.5 + a / (2 max |a|) over the row"  # what `signed_to_unit` does,
 def action_change(full: ActionDistribution, other: ActionDistribution) -> Tensor:
     """(..., N): d_i, as `prediction_change` of the fidelities, with gradients."""
     return (full.action - other.action).abs().sum(dim=-1) / full.divisor
+
+
+def action_divergence(full: ActionDistribution, other: ActionDistribution) -> NDArray[np.float64]:
+    """(..., N): KL(full || other) in nats, of the Normals under the tanh or of the categoricals.
+
+    NaN for a deterministic policy, which has no distribution to compare.
+    """
+    if full.kind == "deterministic":
+        return np.full(torch.broadcast_shapes(full.loc.shape, other.loc.shape)[:-1], math.nan)
+    if full.kind == "categorical":
+        return categorical_kl(full.loc.numpy(), other.loc.numpy())
+    return kl_divergence(*(part.numpy() for part in (full.loc, full.scale, other.loc, other.scale)))
 
 
 def effect_direction(policy: Policy, prepared: Any, n_steps: int, n_agents: int) -> Tensor:

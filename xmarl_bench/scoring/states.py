@@ -18,19 +18,18 @@ from torch import Tensor
 from xmarl_bench.entry.schema import BudgetRow, ExplanationRow, PolicyRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.absence import message_table
+from xmarl_bench.explain.effect import action_divergence
 from xmarl_bench.explain.oracle import best_rows, change_table, mask_of, why_no_oracle
 from xmarl_bench.metrics import (
     Fidelity,
     attention_distance,
     attention_entropy,
     budgeted_fidelity,
-    categorical_kl,
     choices,
     fid_delta_at_k,
     fid_delta_table,
     fidelity,
     graph_explanation_unfaithfulness,
-    kl_divergence,
     mask_mass,
     mask_of_senders,
     oracle_at_k,
@@ -199,7 +198,7 @@ class States:
         unheard: ActionDistribution,
     ) -> ExplanationRow:
         fid, comm = self._fidelity(kept, dropped), self._fidelity(heard, unheard)
-        kl, comm_kl = self._kl(kept), self._kl(heard)
+        kl, comm_kl = action_divergence(self.full, kept), action_divergence(self.full, heard)
         all_edges, messages = rankings.all_edges, rankings.messages
         budgeted = {absence: each.budgeted for absence, each in messages.items()}
         mean, smallest = over_absences(list(budgeted.values()))
@@ -249,14 +248,6 @@ class States:
 
     def _fidelity(self, kept: ActionDistribution, dropped: ActionDistribution) -> Fidelity:
         return fidelity(_action(self.full), _action(kept), _action(dropped), self.full.divisor)
-
-    def _kl(self, kept: ActionDistribution) -> Floats:
-        full = self.full
-        if full.kind == "deterministic":
-            return np.full(full.loc.shape[:-1], math.nan)
-        if full.kind == "categorical":
-            return categorical_kl(full.loc.numpy(), kept.loc.numpy())
-        return kl_divergence(full.loc.numpy(), full.scale.numpy(), kept.loc.numpy(), kept.scale.numpy())
 
     def _by_forwards(self, senders: NDArray[np.floating], noise: Floats, always: Tensor) -> Ranked:
         """FidDelta@k by decoding each mask, without budgeted fidelity.

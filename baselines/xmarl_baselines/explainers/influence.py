@@ -10,9 +10,10 @@ state of an episode that no score plays, drawn at random for each timestep and k
 they were, and the receiver weighs each message as it did: this is the absence model `resample` of
 xmarl_bench.explain.absence. A message that nobody attends to has no influence.
 
-The right side is a mixture of Normals, and a KL to it has no closed form. It is replaced by the smallest of
-its variational upper bounds (Hershey and Olsen, "Approximating the Kullback Leibler Divergence Between
-Gaussian Mixture Models", ICASSP 2007),
+For discrete actions the right side is a categorical, and the KL is exact. For continuous ones it is a mixture
+of Normals, and a KL to that has no closed form. The smallest of its variational upper bounds replaces it
+(Hershey and Olsen, "Approximating the Kullback Leibler Divergence Between Gaussian Mixture Models", ICASSP
+2007),
 
     c_ij = -log 1/K sum_k exp(-KL(p_i || p_i^k)),
 
@@ -36,8 +37,7 @@ from torch import Tensor
 from xmarl_baselines.explainers.batching import AGENTS_AT_ONCE, by_chunks
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer
-from xmarl_bench.explain.effect import share_of_largest
-from xmarl_bench.metrics import kl_divergence
+from xmarl_bench.explain.effect import action_divergence, share_of_largest
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy
 
@@ -89,7 +89,7 @@ def influences(policy: GraphPolicy, observations: Tensor, said: Tensor) -> Tenso
 
 
 def kl_to_mixture(actual: ActionDistribution, others: ActionDistribution) -> Tensor:
-    """The bound above, in nats: (..., N, A), and (K, ..., N, A) the mixture's components -> (..., N).
+    """In nats, exact or the bound above: (..., N, A), and (K, ..., N, A) of the mixture -> (..., N).
 
     Raises InputError for a deterministic policy, which has no distribution to compare.
     """
@@ -98,7 +98,10 @@ def kl_to_mixture(actual: ActionDistribution, others: ActionDistribution) -> Ten
             "influence compares distributions of actions, and the policy is deterministic: choose another "
             "explainer or policy."
         )
-    kl = kl_divergence(*(part.numpy() for part in (actual.loc, actual.scale, others.loc, others.scale)))
+    if actual.kind == "categorical":
+        mixture = others._replace(loc=others.loc.logsumexp(dim=0) - math.log(len(others.loc)))
+        return torch.from_numpy(action_divergence(actual, mixture))
+    kl = action_divergence(actual, others)
     bound = math.log(len(kl)) - torch.from_numpy(-kl).logsumexp(dim=0)
     return bound.clamp_min(0.0)  # rounding
 

@@ -28,10 +28,12 @@ N = 4
 
 
 def change(policy: Policy, x: Tensor, mask: Tensor) -> Tensor:
-    """(S, N): d_i of any mask."""
+    """(S, N): d_i of any mask, a mean over action entries or the total variation distance."""
     with torch.no_grad():
         full, masked = policy.distribution(x).action, policy.distribution(x, mask).action
-    return (full - masked).abs().mean(dim=-1)
+    if policy.continuous_actions:
+        return (full - masked).abs().mean(dim=-1)
+    return (full - masked).clamp_min(0.0).sum(dim=-1)
 
 
 def silence(policy: Policy, x: Tensor) -> Tensor:
@@ -39,9 +41,14 @@ def silence(policy: Policy, x: Tensor) -> Tensor:
     return change(policy, x, torch.zeros(len(x), x.shape[1], x.shape[1], dtype=x.dtype))
 
 
+both_actions = pytest.mark.parametrize("categorical", [False, True])
+
+
 @pytest.mark.parametrize("residual", [False, True])
-def test_gradient_equals_finite_differences(residual: bool) -> None:
-    policy, x = small_policy(6, 1, residual=residual).double(), random_observations(3, N, 6).double()
+@both_actions
+def test_gradient_equals_finite_differences(residual: bool, categorical: bool) -> None:
+    policy = small_policy(6, 1, residual=residual, categorical=categorical).double()
+    x = random_observations(3, N, 6).double()
     ours = gradient_at(policy, x, [1.0])
     direction = effect_direction(policy, policy.prepare(x), 3, N)
     for i, j in ((0, 0), (1, 3), (2, 1)):
@@ -61,6 +68,13 @@ def test_integrated_gradients_are_complete(name: str) -> None:
     torch.testing.assert_close(total, silence(policy, x), rtol=0, atol=0.01)
 
 
+def test_integrated_gradients_of_probabilities_are_complete() -> None:
+    policy, x = small_policy(6, 3, categorical=True), random_observations(5, N, 6)
+    total = gradient_at(policy, x, midpoints(1000)).sum(dim=-1)
+    torch.testing.assert_close(total, silence(policy, x), rtol=0, atol=1e-3)
+    assert float(total.max()) > 0.1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "arguments", "levels"),
@@ -71,10 +85,12 @@ def test_integrated_gradients_are_complete(name: str) -> None:
     ],
 )
 @pytest.mark.parametrize("residual", [False, True])
+@both_actions
 def test_captum_gives_the_same_attributions(
-    method: str, arguments: dict[str, object], levels: list[float], residual: bool
+    method: str, arguments: dict[str, object], levels: list[float], residual: bool, categorical: bool
 ) -> None:
-    policy, x = small_policy(6, 3, residual=residual), random_observations(3, 3, 6)
+    policy = small_policy(6, 3, residual=residual, categorical=categorical)
+    x = random_observations(3, 3, 6)
     captum = PygExplain(lambda: CaptumExplainer(method, **arguments), effect=True, to_unit=signed_to_unit)
     theirs = captum(policy, x, torch.Generator())
     torch.testing.assert_close(signed_to_unit(gradient_at(policy, x, levels)), theirs, rtol=0, atol=1e-4)
@@ -83,8 +99,14 @@ def test_captum_gives_the_same_attributions(
 
 @pytest.mark.parametrize(
     "policy",
-    [small_policy(6, 2), small_policy(6, 2, residual=True), one_layer(6), two_layers(6)],
-    ids=["fast", "residual", "1", "2"],
+    [
+        small_policy(6, 2),
+        small_policy(6, 2, residual=True),
+        small_policy(6, 2, categorical=True),
+        one_layer(6),
+        two_layers(6),
+    ],
+    ids=["fast", "residual", "categorical", "1", "2"],
 )
 def test_occlusion_is_the_change_without_one_edge(policy: Policy) -> None:
     x = random_observations(3, N, 6)
@@ -116,9 +138,12 @@ def test_shapley_values_are_the_mean_over_all_orders() -> None:
 
 
 @pytest.mark.slow
-@given(n_agents=st.integers(1, 6), seed=st.integers(0, 1000), residual=st.booleans())
-def test_shapley_axioms(n_agents: int, seed: int, residual: bool) -> None:
-    policy, x = small_policy(6, seed, residual=residual), random_observations(3, n_agents, 6, seed)
+@given(
+    n_agents=st.integers(1, 6), seed=st.integers(0, 1000), residual=st.booleans(), categorical=st.booleans()
+)
+def test_shapley_axioms(n_agents: int, seed: int, residual: bool, categorical: bool) -> None:
+    policy = small_policy(6, seed, residual=residual, categorical=categorical)
+    x = random_observations(3, n_agents, 6, seed)
     if n_agents > 2:
         x[:, 2] = x[:, 1]  # two identical senders
     values = torch.from_numpy(exact_values(change_table(policy, x)))
@@ -170,10 +195,10 @@ def test_shapley_of_several_layers_is_one_game_of_all_edges() -> None:
     torch.testing.assert_close(values.sum(dim=(-2, -1)), silence(policy, x).sum(dim=-1), rtol=0, atol=1e-5)
     mask = shapley_mask(policy, x, torch.Generator().manual_seed(0))
     assert not torch.equal(mask, shapley_mask(policy, x, torch.Generator().manual_seed(1)))
-    single = one_layer(6)
-    exact = torch.from_numpy(exact_values(change_table(single, x))).float()
-    with torch.no_grad():
-        torch.testing.assert_close(sampled_values(single, x, [1, 2], 64), exact, rtol=0, atol=0.03)
+    for single in (one_layer(6), small_policy(6, 1, categorical=True)):
+        exact = torch.from_numpy(exact_values(change_table(single, x))).float()
+        with torch.no_grad():
+            torch.testing.assert_close(sampled_values(single, x, [1, 2], 64), exact, rtol=0, atol=0.03)
 
 
 def test_above_ten_agents_shapley_is_sampled() -> None:

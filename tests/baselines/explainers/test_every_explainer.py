@@ -118,8 +118,13 @@ def test_attention_rowmax_ranks_as_attention_and_keeps_the_best_message_whole() 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "policy",
-    [small_policy(6, 2), small_policy(6, 2, residual=True), two_layers(6)],
-    ids=["one layer", "residual", "two layers"],
+    [
+        small_policy(6, 2),
+        small_policy(6, 2, residual=True),
+        small_policy(6, 2, categorical=True),
+        two_layers(6),
+    ],
+    ids=["one layer", "residual", "categorical", "two layers"],
 )
 @each
 def test_an_explainer_leaves_no_trace(explainer: Explainer, policy: Policy) -> None:
@@ -195,12 +200,16 @@ def test_a_timestep_s_mask_does_not_depend_on_other_timesteps(explainer: Explain
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("residual", [False, True])
+@pytest.mark.parametrize("options", [{}, {"residual": True}, {"categorical": True}], ids=str)
 @each
-def test_the_generic_path_gives_what_the_fast_path_gives(explainer: Explainer, residual: bool) -> None:
-    policy, observations = small_policy(6, 6, residual=residual), random_observations(4, 3, 6)
+def test_the_generic_path_gives_what_the_fast_path_gives(
+    explainer: Explainer, options: dict[str, bool]
+) -> None:
+    policy, observations = small_policy(6, 6, **options), random_observations(4, 3, 6)
     fast = run(explainer, policy, observations, 3)
-    generic = run(explainer, ModulePolicy(Opened(policy), 6), observations, 3)
+    a = policy.architecture
+    opened = ModulePolicy(Opened(policy), 6, a.action_dim, distribution=a.distribution)
+    generic = run(explainer, opened, observations, 3)
     # Small changes of actions, divided by the row's largest, amplify float32's rounding.
     torch.testing.assert_close(fast, generic, rtol=0, atol=1e-4)
 

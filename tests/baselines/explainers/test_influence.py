@@ -168,3 +168,14 @@ def test_a_deterministic_policy_is_refused() -> None:
     one = ActionDistribution(torch.zeros(1, 1, 1), torch.zeros(1, 1, 1), "deterministic")
     with pytest.raises(InputError, match="the policy is deterministic"):
         kl_to_mixture(one, one)
+
+
+@given(st.lists(st.lists(st.floats(-4, 4), min_size=5, max_size=5), min_size=2, max_size=5))
+def test_of_discrete_actions_the_kl_to_the_mixture_is_exact(logits: list[list[float]]) -> None:
+    probabilities = np.exp(np.array(logits)) / np.exp(np.array(logits)).sum(axis=-1, keepdims=True)
+    p, q = probabilities[0], probabilities[1:].mean(axis=0)
+    loc = torch.from_numpy(np.log(probabilities))[:, None]
+    one, others = (
+        ActionDistribution(part, torch.zeros_like(part), "categorical") for part in (loc[0], loc[1:])
+    )
+    assert float(kl_to_mixture(one, others)) == pytest.approx((p * np.log(p / q)).sum(), abs=1e-9)

@@ -35,7 +35,8 @@ def fid_delta(policy: GraphPolicy, observations: torch.Tensor, mask: torch.Tenso
         full, kept, dropped = (
             policy.distribution(observations, m).action.numpy() for m in (None, mask, 1 - mask)
         )
-    return prediction_change(full, dropped) - prediction_change(full, kept)
+    divisor = 2 if policy.architecture.distribution == "categorical" else None
+    return prediction_change(full, dropped, divisor) - prediction_change(full, kept, divisor)
 
 
 def test_rows_are_the_bits_of_their_index() -> None:
@@ -59,9 +60,11 @@ def test_the_table_equals_the_formula_row_by_row(residual: bool) -> None:
 
 @pytest.mark.slow
 @settings(max_examples=12)
-@given(n_agents=st.integers(1, 5), seed=st.integers(0, 10**6), residual=st.booleans())
-def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int, residual: bool) -> None:
-    policy = small_policy(5, seed, residual=residual)
+@given(
+    n_agents=st.integers(1, 5), seed=st.integers(0, 10**6), residual=st.booleans(), categorical=st.booleans()
+)
+def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int, residual: bool, categorical: bool) -> None:
+    policy = small_policy(5, seed, residual=residual, categorical=categorical)
     observations = random_observations(6, n_agents, 5, seed)
     best = oracle_mask(policy, observations, torch.Generator())
     assert set(best.unique().tolist()) <= {0.0, 1.0}
@@ -76,9 +79,9 @@ def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int, residual: boo
         assert (fid_delta(policy, observations, mask) <= highest + 1e-5).all()
 
 
-@with_and_without_residual
-def test_the_oracle_is_the_best_of_all_whole_masks(residual: bool) -> None:
-    policy, observations = small_policy(5, 7, residual=residual), random_observations(1, 3, 5, 3)
+@pytest.mark.parametrize("options", [{}, {"residual": True}, {"categorical": True}], ids=str)
+def test_the_oracle_is_the_best_of_all_whole_masks(options: dict[str, bool]) -> None:
+    policy, observations = small_policy(5, 7, **options), random_observations(1, 3, 5, 3)
     masks = torch.tensor(list(product([0.0, 1.0], repeat=9))).view(512, 3, 3)
     values = fid_delta(policy, observations.expand(512, 3, 5), masks).mean(axis=1)
     received = fid_delta(policy, observations, oracle_mask(policy, observations, torch.Generator())).mean()

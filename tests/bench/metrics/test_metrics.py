@@ -10,12 +10,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import spearmanr
-from torch.distributions import Independent, Normal
+from torch.distributions import Categorical, Independent, Normal
 from torch.distributions import kl_divergence as torch_kl
 
 from xmarl_bench.metrics import (
     attention_distance,
     attention_entropy,
+    categorical_kl,
     fidelity,
     graph_explanation_unfaithfulness,
     kl_divergence,
@@ -34,6 +35,15 @@ def test_fidelity_by_hand() -> None:
     np.testing.assert_allclose(result.minus, [0.05])
     np.testing.assert_allclose(result.plus, [0.5])
     np.testing.assert_allclose(result.delta, [0.45])
+
+
+def test_fidelity_of_discrete_actions_is_total_variation_by_hand() -> None:
+    full = np.array([[[0.5, 0.3, 0.2, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0]]])
+    kept = np.array([[[0.4, 0.3, 0.2, 0.1, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0]]])  # 0.1 moves; nothing
+    dropped = np.array([[[0.0, 0.3, 0.2, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0, 1.0]]])  # 0.5 moves; all
+    result = fidelity(full, kept, dropped, 2)
+    np.testing.assert_allclose(prediction_change(full, kept, 2), [[0.1, 0.0]])
+    np.testing.assert_allclose((result.minus, result.plus, result.delta), [[0.05], [0.75], [0.7]])
 
 
 def test_fidelity_averages_over_agents_and_not_over_timesteps() -> None:
@@ -76,6 +86,27 @@ def test_kl_equals_torch_summed_over_action_entries(rows: list[tuple[float, floa
     ours = kl_divergence(loc_p, scale_p, loc_q, scale_q)
     assert ours.shape == (3,)
     np.testing.assert_allclose(ours, torch_kl(p, q).numpy(), rtol=1e-9, atol=1e-12)
+
+
+def test_kl_of_categoricals_by_hand() -> None:
+    # Of (1/2, 1/2) from (1/4, 3/4): 1/2 ln 2 + 1/2 ln(2/3).
+    p, q = np.log([0.5, 0.5]), np.log([0.25, 0.75])
+    assert categorical_kl(p, q) == pytest.approx(0.5 * math.log(2) + 0.5 * math.log(2 / 3))
+    assert categorical_kl(q, p) == pytest.approx(0.25 * math.log(0.5) + 0.75 * math.log(1.5))
+
+
+@given(st.lists(st.lists(st.floats(-30, 30), min_size=5, max_size=5), min_size=2, max_size=2))
+def test_kl_of_categoricals_equals_torch(logits: list[list[float]]) -> None:
+    p, q = (Categorical(logits=torch.tensor(row, dtype=torch.double)) for row in logits)
+    ours = categorical_kl(p.logits.numpy(), q.logits.numpy())
+    np.testing.assert_allclose(ours, torch_kl(p, q).numpy(), rtol=1e-9, atol=1e-12)
+
+
+@given(st.lists(st.floats(-30, 30), min_size=5, max_size=5), st.floats(-1e-6, 1e-6))
+def test_kl_of_categoricals_is_not_negative_in_float32(logits: list[float], change: float) -> None:
+    p = torch.log_softmax(torch.tensor(logits), dim=-1)
+    q = torch.log_softmax(torch.tensor(logits) * (1 + change), dim=-1)
+    assert 0.0 <= float(categorical_kl(p.numpy(), q.numpy())) < 1e-6
 
 
 def test_unfaithfulness_is_per_agent_not_joint() -> None:

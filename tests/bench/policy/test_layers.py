@@ -79,7 +79,7 @@ def test_deep_policies_are_scored_on_the_generic_path(layers: list[dict[str, Any
     concat=st.booleans(),
     residual=st.booleans(),
     n_layers=st.integers(1, 2),
-    distribution=st.sampled_from(["tanh_normal", "normal", "deterministic"]),
+    distribution=st.sampled_from(["tanh_normal", "normal", "deterministic", "categorical"]),
 )
 def test_a_batch_is_one_graph_at_a_time(
     conv: str, heads: int, concat: bool, residual: bool, n_layers: int, distribution: str
@@ -92,7 +92,7 @@ def test_a_batch_is_one_graph_at_a_time(
         for s in range(4):
             alone = policy.distribution(observations[s : s + 1], masks[s : s + 1])
             torch.testing.assert_close(batched.loc[s], alone.loc[0], rtol=1e-5, atol=1e-5)
-        if distribution == "deterministic":
+        if distribution in ("deterministic", "categorical"):
             assert not batched.scale.any()
         else:
             assert (batched.scale > 0).all()
@@ -104,11 +104,12 @@ def as_layer(name: str) -> str:
 
 
 @pytest.mark.parametrize("residual", [False, True])
+@pytest.mark.parametrize("distribution", ["tanh_normal", "categorical"])
 def test_one_layer_of_one_head_is_the_fast_path_and_equals_the_generic_one(
-    residual: bool, tmp_path: Path
+    residual: bool, distribution: str, tmp_path: Path
 ) -> None:
     layer = {"conv": "GATv2Conv", "width": 8, "residual": residual, "activation": "tanh"}
-    architecture = record([layer])
+    architecture = record([layer], distribution=distribution)
     fast = random_policy(architecture)
     assert isinstance(fast, GraphPolicy)
     network = LayeredNetwork(architecture)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 import torch
@@ -39,7 +40,16 @@ def built(network: type[GraphPolicy] | type[LayeredNetwork], architecture: objec
     return {name: tuple(tensor.shape) for name, tensor in state.items()}
 
 
-@given(st.integers(1, 7), st.integers(1, 3), widths, st.integers(1, 9), widths, st.booleans(), memories(1))
+@given(
+    st.integers(1, 7),
+    st.integers(1, 3),
+    widths,
+    st.integers(1, 9),
+    widths,
+    st.booleans(),
+    memories(1),
+    st.sampled_from(["tanh_normal", "categorical"]),
+)
 def test_one_layer(
     obs_dim: int,
     action_dim: int,
@@ -48,11 +58,12 @@ def test_one_layer(
     decoder: tuple[int, ...],
     residual: bool,
     memory: Memory | None,
+    distribution: Any,
 ) -> None:
     architecture = Architecture(
         obs_dim=obs_dim, action_dim=action_dim, encoder=encoder, encoder_activation="relu",
         gat_width=gat_width, gat_activation="tanh", decoder=decoder, decoder_activation="elu",
-        residual=residual, memory=memory,
+        residual=residual, memory=memory, distribution=distribution,
     )  # fmt: skip
     assert weight_shapes(architecture) == built(GraphPolicy, architecture)
 
@@ -61,7 +72,7 @@ def test_one_layer(
     widths,
     st.lists(layers, min_size=1, max_size=3).map(tuple),
     widths,
-    st.sampled_from(["tanh_normal", "normal", "deterministic"]),
+    st.sampled_from(["tanh_normal", "normal", "deterministic", "categorical"]),
     st.data(),
 )
 def test_layers(

@@ -203,7 +203,7 @@ def test_a_timestep_s_mask_does_not_depend_on_other_timesteps(explainer: Explain
 @pytest.mark.parametrize("options", [{}, {"residual": True}, {"categorical": True}], ids=str)
 @each
 def test_the_generic_path_gives_what_the_fast_path_gives(
-    explainer: Explainer, options: dict[str, bool]
+    explainer: Explainer, options: dict[str, Any]
 ) -> None:
     policy, observations = small_policy(6, 6, **options), random_observations(4, 3, 6)
     fast = run(explainer, policy, observations, 3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def test_no_binary_mask_beats_the_oracle(n_agents: int, seed: int, residual: boo
 
 
 @pytest.mark.parametrize("options", [{}, {"residual": True}, {"categorical": True}], ids=str)
-def test_the_oracle_is_the_best_of_all_whole_masks(options: dict[str, bool]) -> None:
+def test_the_oracle_is_the_best_of_all_whole_masks(options: dict[str, Any]) -> None:
     policy, observations = small_policy(5, 7, **options), random_observations(1, 3, 5, 3)
     masks = torch.tensor(list(product([0.0, 1.0], repeat=9))).view(512, 3, 3)
     values = fid_delta(policy, observations.expand(512, 3, 5), masks).mean(axis=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -18,7 +17,7 @@ from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
-from xmarl_bench.rollout.episodes import act, initial_state, with_actions_of
+from xmarl_bench.rollout.episodes import chooser, initial_state, with_actions_of
 
 Floats = NDArray[np.float32]
 
@@ -76,7 +75,6 @@ def record(
             f"max_cycles must be at least 1, got {max_cycles}: choose a larger one, or leave it out."
         )
     environment_seed = episode_seeds(seed, episode + 1)[episode]
-    policy = copy.deepcopy(policy)  # memory as torch lays it out, as in a rollout
     if policy is not None:
         task = with_actions_of(policy, task)
     choose = _choose(task, team, policy, environment_seed)
@@ -110,7 +108,13 @@ def _choose(
 ) -> Callable[[State, Floats], tuple[Floats, Floats]]:
     """(state, observations (N, D + H)) -> actions (N, 2), what is remembered next (N, H)."""
     if policy is not None:
-        return lambda _, observation: act(policy, observation)
+        choose = chooser(policy)
+
+        def act(_: State, observation: Floats) -> tuple[Floats, Floats]:
+            action, memory = choose(observation[None])
+            return action[0], memory[0]
+
+        return act
     if team == HEURISTIC:
         return lambda state, seen: (heuristic(task, state)[0].astype(np.float32), seen[..., :0])
     if team == RANDOM:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -16,6 +15,7 @@ from xmarl_envs import TASKS, Step, Task, VectorEnv, make_task
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.table import Group, Need, metrics_of
 from xmarl_bench.policy import Policy
+from xmarl_bench.policy.teams_apart import step_teams
 from xmarl_bench.reproducible import one_thread
 
 Floats = NDArray[np.float32]
@@ -75,23 +75,20 @@ def roll_out(
 
     mask: (N, N), the team acts on F(mask) throughout; the identity removes all messages between agents.
 
-    Each episode has a pymunk Space and a forward pass of its own, because matrix products round differently
-    in batches of different size. An episode depends on (task, N, seed, policy) alone: the result is the same,
-    bit for bit, for any `parallel_episodes`.
+    Each episode has a pymunk Space of its own, and teams act apart (`policy.teams_apart`). An episode depends
+    on (task, N, seed, policy) alone: the result is the same, bit for bit, for any `parallel_episodes`.
     """
+    start, choose = initial_state(policy, task.n_agents), chooser(policy, mask)
 
-    start = initial_state(policy, task.n_agents)
-
-    def act_alone(observation: Floats, slots: Sequence[int]) -> tuple[NDArray[Any], Floats]:
-        chosen = [act(policy, observation[slot], mask) for slot in slots]
-        action, memory = (np.zeros((len(observation), *part.shape), part.dtype) for part in chosen[0])
-        for slot, each in zip(slots, chosen, strict=True):
-            action[slot], memory[slot] = each
+    def act(observation: Floats, slots: Sequence[int]) -> tuple[NDArray[Any], Floats]:
+        chosen = choose(observation[slots])
+        action, memory = (np.zeros((len(observation), *part.shape[1:]), part.dtype) for part in chosen)
+        action[slots], memory[slots] = chosen
         return action, memory
 
     return play(
         with_actions_of(policy, task),
-        act_alone,
+        act,
         seeds,
         start=start,
         parallel_episodes=parallel_episodes,
@@ -146,17 +143,19 @@ def play(
     return [finished[k] for k in range(len(seeds))]
 
 
-@torch.inference_mode()
-def act(policy: Policy, observation: Floats, mask: Tensor | None = None) -> tuple[NDArray[Any], Floats]:
-    """(N, D + H) -> the deterministic action of one team at one timestep, what it remembers next (N, H).
+def chooser(policy: Policy, mask: Tensor | None = None) -> Callable[[Floats], tuple[NDArray[Any], Floats]]:
+    """(B, N, D + H) -> the deterministic actions of B teams, and what they remember next (B, N, H).
 
-    An action is (N, A), or (N,) numbers.
+    Actions are (B, N, A), or (B, N) numbers. Those of a team do not depend on the other teams.
     """
-    # A copy, not a view: rounding of matrix products also depends on the alignment of memory, and torch
-    # aligns what it allocates itself.
-    x = torch.tensor(observation)[None]
-    distribution, memory = policy.step(x, mask)
-    return np.asarray(distribution.choice[0].numpy()), np.asarray(memory[0].numpy())
+    step = step_teams(policy)
+
+    @torch.inference_mode()
+    def choose(observation: Floats) -> tuple[NDArray[Any], Floats]:
+        choice, memory = step(torch.tensor(observation), mask)  # a copy, not a view: torch aligns its memory
+        return np.asarray(choice.numpy()), np.asarray(memory.numpy())
+
+    return choose
 
 
 def initial_state(policy: Policy, n_agents: int) -> Floats:
@@ -185,7 +184,7 @@ class Rollout:
         with one_thread():
             return roll_out(
                 make_task(self.task, self.n_agents),
-                copy.deepcopy(self.policy),  # torch aligns the copy's memory; pickle does not
+                self.policy,
                 self.seeds,
                 parallel_episodes=self.parallel_episodes or len(self.seeds),
                 max_cycles=self.max_cycles,

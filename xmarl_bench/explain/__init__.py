@@ -1,1 +1,1 @@
-"""What an explainer is, what people bring as one, and the controls and oracle beside it."""
+"""Explainers: the interface, adapters for other forms, controls, the oracle and absence models."""

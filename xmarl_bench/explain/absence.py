@@ -1,20 +1,21 @@
-"""Absence models: what stands in for a message that is taken away.
+"""Absence models: what replaces a removed message.
 
-An explanation is judged by taking messages away, and an agent that loses one hears something else in its
-place, or nothing. No choice is the right one, so budgeted fidelity is measured under each. With coefficients
-a_ij and messages v_j = W x_j, agent i hears sum_j m_ij a_ij v_j, and in place of what the mask m takes away
+Explanations are judged by removing messages, and a removed message may be replaced by nothing or by another
+one. No choice is the right one, so budgeted fidelity is measured under each. With coefficients a_ij and
+messages v_j = W x_j, agent i receives sum_j m_ij a_ij v_j. The models replace what the mask m removes by
 
-    zero          nothing: the paper's model, of all of its metrics;
+    zero          nothing: the paper's model, used by all of its metrics;
     mean          sum_j (1 - m_ij) a_ij (mean of v_j over reference states);
-    resample      sum_j (1 - m_ij) a_ij v'_j, v' the messages of a reference state drawn at random; the
-                  effects of DRAWS draws are averaged;
-    renormalised  nothing, and the coefficients of the messages kept sum to 1 again: the edge has left the
-                  softmax.
+    resample      sum_j (1 - m_ij) a_ij v'_j, v' the messages of a random reference state; the effects of
+                  DRAWS draws are averaged;
+    renormalised  nothing, and the coefficients of the messages kept sum to 1 again, as if removed edges were
+                  not in the softmax.
 
-A receiver attends as it did: its coefficients are those of what was said, not of what stands in for it.
-Reference states are those that explainers are fitted on, of episodes that no score plays.
+The coefficients a_ij stay those of the original messages, not of their replacements. Reference states are
+those that explainers are fitted on, from episodes that no score plays.
 
-All but zero need known coefficients and messages, those of a GraphPolicy. Every agent's own edge is kept.
+All models but zero need a GraphPolicy, whose coefficients and messages are known. Every agent's own edge is
+kept.
 S is the number of timesteps, N agents, D observation entries, W the width of a message, Q reference states.
 """
 
@@ -41,13 +42,13 @@ from xmarl_bench.policy import GraphPolicy, Policy
 from xmarl_bench.policy.distribution import ActionDistribution
 from xmarl_bench.policy.network import Prepared
 
-DRAWS: Final = 4  # for each timestep
+DRAWS: Final = 4  # per timestep
 
 
 def reference_states(policy: Policy, task: str, n_agents: int) -> Tensor | None:
-    """(Q, N, D) observations whose messages stand in; None where zero alone can be measured.
+    """(Q, N, D) observations whose messages replace removed ones; None if only zero can be measured.
 
-    One and the same whatever is scored, and whatever its sampling.
+    The same for every explainer and every sampling.
     """
     if not isinstance(policy, GraphPolicy) or why_no_oracle(policy, n_agents) is not None:
         return None
@@ -55,7 +56,7 @@ def reference_states(policy: Policy, task: str, n_agents: int) -> Tensor | None:
 
 
 def message_rows(n_agents: int) -> Tensor:
-    """(2^(N - 1), N, N) masks: row i of the r-th keeps agent i's own edge and the others in the bits of r."""
+    """(2^(N - 1), N, N) masks: row i of mask r keeps agent i's own edge and the others in the bits of r."""
     rows = binary_rows(n_agents - 1)
     masks = torch.ones(len(rows), n_agents, n_agents)
     masks[:, ~torch.eye(n_agents, dtype=torch.bool)] = rows.repeat(1, n_agents)
@@ -71,8 +72,8 @@ def message_table(
 ) -> NDArray[np.float64]:
     """(S, N, D) -> (2^(N - 1), S, N): d_i of every row over the others, under one absence model.
 
-    reference: (Q, N, D) observations whose messages stand in. The rows are those of `others_table`. Raises
-    InputError for a team whose rows are too many to try.
+    reference: (Q, N, D) observations whose messages replace removed ones. The rows are those of
+    `others_table`. Raises InputError if the team has too many rows to try.
     """
     n_steps, n_agents, _ = observations.shape
     check_oracle(policy, n_agents)
@@ -93,7 +94,7 @@ def message_table(
 def _stand_ins(
     policy: GraphPolicy, absence: Absence, reference: Tensor, n_steps: int, rng: np.random.Generator
 ) -> Iterator[Tensor | None]:
-    """(S, N, W) for each effect that is averaged."""
+    """(S, N, W) replacements, one for each effect that is averaged."""
     if absence in (Absence.ZERO, Absence.RENORMALISED):
         yield None
         return

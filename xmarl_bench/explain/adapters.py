@@ -1,7 +1,7 @@
-"""`as_explainer`: what people bring - a function, a class, an algorithm of PyG - becomes an `Explainer`.
+"""`as_explainer`: makes an `Explainer` of a function, a class, an object or an algorithm of PyG.
 
-One rule for what is called: its parameters are told apart by name. `policy`, `observations` and `generator`
-are given to those who name them, in any order; any other parameter needs a default.
+Arguments are passed by name: a callable gets those of `policy`, `observations` and `generator` that its
+parameters name, in any order. Any other parameter needs a default.
 
     @as_explainer(stochastic=True)
     def noisy(observations, generator): ...
@@ -35,7 +35,7 @@ PARAMETERS = ("policy", "observations", "generator")
 
 
 class Declared(TypedDict, total=False):
-    """What may be declared, as arguments of the decorator or attributes of a class: see `Explainer`."""
+    """Declarations, as arguments of the decorator or attributes of a class: see `Explainer`."""
 
     name: str
     summary: str
@@ -61,17 +61,16 @@ def as_explainer(**declared: Unpack[Declared]) -> Callable[[object], Explainer]:
 def as_explainer(thing: object = None, /, **declared: Unpack[Declared]) -> Any:
     """Make an `Explainer` of a function, a class or object that explains, or an algorithm of PyG.
 
-    Also a decorator, with or without arguments. A class is called without arguments; an object explains by
-    its method `explain`, or by being called, and may declare by attributes; arguments here have the last
-    word. An `Explainer` stays what it is. Raises InputError for anything else, and for declarations that are
-    none.
+    Also a decorator, with or without arguments. A class is instantiated without arguments; an object explains
+    by its method `explain` or by being called, and may declare by attributes, which arguments here override.
+    An `Explainer` is returned unchanged. Raises InputError for anything else, and for invalid declarations.
     """
     if thing is None:
         return lambda decorated: as_explainer(decorated, **declared)
     if isinstance(thing, Explainer):
         if declared:
             raise InputError(
-                f"explainer {thing.name!r} is made already: declare {', '.join(declared)} where it is made."
+                f"explainer {thing.name!r} exists already: declare {', '.join(declared)} where it is made."
             )
         return thing
     if inspect.isclass(thing):
@@ -83,7 +82,7 @@ def as_explainer(thing: object = None, /, **declared: Unpack[Declared]) -> Any:
     explain = getattr(thing, "explain", thing)
     if not callable(explain):
         raise InputError(
-            f"a {type(thing).__name__} explains nothing: give a function of observations and "
+            f"a {type(thing).__name__} is not an explainer: give a function of observations and "
             f"policy, a class with a method explain, or an algorithm of torch_geometric.explain."
         )
     own = {key: getattr(thing, key) for key in DECLARATIONS if hasattr(thing, key)}
@@ -93,20 +92,20 @@ def as_explainer(thing: object = None, /, **declared: Unpack[Declared]) -> Any:
 
 @dataclass(frozen=True)
 class Named:
-    """Calls `function` with those of policy, observations and generator that it names."""
+    """Calls `function` with those of policy, observations and generator that its parameters name."""
 
     function: Callable[..., Tensor]
     names: tuple[str, ...]
 
     @classmethod
     def of(cls, name: str, function: Callable[..., Any]) -> Named:
-        """Raises InputError where a parameter is none of the three and has no default."""
+        """Raises InputError if another parameter has no default."""
         try:
             parameters = list(inspect.signature(function).parameters.values())
         except (TypeError, ValueError):
             raise InputError(
-                f"explainer {name!r} does not tell its parameters: wrap it in a function of observations "
-                f"and policy."
+                f"explainer {name!r} has no readable signature: wrap it in a function of observations and "
+                f"policy."
             ) from None
         optional = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
         needed = [p for p in parameters if p.default is p.empty and p.kind not in optional]
@@ -115,7 +114,7 @@ class Named:
         if strange or not taken:
             got = ", ".join(p.name for p in parameters) or "nothing"
             raise InputError(
-                f"explainer {name!r} takes ({got}): name its parameters policy, observations and, where it "
+                f"explainer {name!r} takes ({got}): name its parameters policy, observations and, if it "
                 f"draws random numbers, generator; any other needs a default."
             )
         return cls(function, tuple(p.name for p in taken))
@@ -127,7 +126,7 @@ class Named:
 
 @dataclass(frozen=True)
 class FitByMethod:
-    """Fits a copy of an object by its method `fit`; the copy then explains."""
+    """Fits a copy of an object with its method `fit`. The copy then explains."""
 
     name: str
     owner: Any
@@ -139,7 +138,7 @@ class FitByMethod:
 
 
 def origin_of_explainer(explainer: Explainer) -> Origin:
-    """Where it was found; of an object that was handed over, where the code of its `explain` is."""
+    """The explainer's origin: where it was found by name, else where the code of its `explain` is."""
     if explainer.origin is not None:
         return explainer.origin
     explain: object = explainer.explain
@@ -169,7 +168,7 @@ def _made(
 
 
 def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explainer:
-    """As it is, one graph at a time: Captum's on the effect of messages, PGExplainer trained first."""
+    """Unmodified, one graph at a time. Captum's explain effects of messages; PGExplainer is fitted first."""
     copies, name = Copies.of(algorithm), kebab(type(algorithm).__name__)
     settings = {**_settings(algorithm), **_scalars(copies.coeffs)}
     fields: dict[str, Any] = {"hyperparameters": settings, "stochastic": True, "slow": True}
@@ -187,23 +186,26 @@ def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explaine
     _check_declared(name, fields)
     if fields.get("accesses") in ("black-box", "attention"):
         raise InputError(
-            f"explainer {name!r} declares accesses = {fields['accesses']!r}: algorithms of PyG run the "
-            f"network itself, so declare 'gradients' or nothing."
+            f"explainer {name!r} declares accesses = {fields['accesses']!r}, but PyG's algorithms run the "
+            f"network itself: declare 'gradients' or nothing."
         )
     fit = PygFit(copies) if isinstance(algorithm, PGExplainer) else None
     if fields.pop("needs_fit", fit is not None) != (fit is not None):
-        raise InputError(f"explainer {name!r}: of PyG's algorithms PGExplainer alone is fitted.")
+        raise InputError(
+            f"explainer {name!r} declares needs_fit = {fit is None}: leave it out, PGExplainer is the only "
+            f"algorithm of PyG that is fitted."
+        )
     return Explainer(explain=PygExplain(copies, effect=captum), fit=fit, **fields)
 
 
 def kebab(name: str) -> str:
-    """A name for files out of one in Python: GNNExplainer -> gnn-explainer, my_own stays."""
+    """A name safe in files from a name in Python: GNNExplainer -> gnn-explainer, my_own is unchanged."""
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name)
     return words.lower().lstrip("_<").rstrip(">")
 
 
 def _settings(thing: object) -> dict[str, Scalar]:
-    """The arguments that an object was made with, where it keeps them under their names."""
+    """The constructor arguments that an object keeps as attributes of the same names."""
     attributes: dict[str, Any] = getattr(thing, "__dict__", {})
     try:
         names = inspect.signature(type(thing)).parameters
@@ -213,7 +215,7 @@ def _settings(thing: object) -> dict[str, Scalar]:
 
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, Scalar]:
-    """What an entry can record of settings."""
+    """The settings that an entry can record."""
     return {
         key: value
         for key, value in values.items()
@@ -227,7 +229,7 @@ def _instance(cls: type) -> object:
     except Exception as error:
         raise InputError(
             f"explainer {cls.__name__!r} cannot be made without arguments ({type(error).__name__}: {error}): "
-            f"give an object of it."
+            f"give an instance."
         ) from error
 
 
@@ -236,7 +238,7 @@ def _first_line(thing: object) -> str:
 
 
 def _check_declared(name: str, fields: Mapping[str, Any]) -> None:
-    """Raises InputError for a declaration that is none, or of another kind."""
+    """Raise InputError for an unknown declaration or an invalid value."""
     for key, value in fields.items():
         if key not in DECLARATIONS:
             raise InputError(f"explainer {name!r} declares {key!r}: choose among {', '.join(DECLARATIONS)}.")

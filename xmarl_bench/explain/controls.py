@@ -1,9 +1,9 @@
-"""Controls: masks to read every explainer by, scored on the same policy and states. Always available.
+"""Controls: masks to compare every explainer with, scored on the same policy and states. Always available.
 
-Floors that explain nothing or never look at the policy, and the ceiling that no binary mask passes. The mask
-of ones keeps everything, so Fid- and GEF are 0 and FidDelta is what removing all messages does: an explainer
-that merely keeps more is not better. The inverse of the explainer's own mask is a control too; being no
-function of the policy, it is made where the explainer is measured (xmarl_bench.scoring.measure).
+Lower controls explain nothing or ignore the policy; the oracle is the best binary mask. The mask of ones
+keeps everything, so Fid- and GEF are 0, and FidDelta is the effect of removing all messages: an explainer
+that only keeps more is not better. The inverse of the explainer's own mask is a control too; it depends on
+the explainer, so xmarl_bench.scoring.measure makes it.
 
 S is the number of timesteps, N agents, D observation entries.
 """
@@ -43,12 +43,12 @@ def random_mask(policy: Policy, observations: Tensor, generator: torch.Generator
 
 
 def bernoulli_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-    """(S, N, D) -> (S, N, N): every edge kept or dropped by the toss of a coin."""
+    """(S, N, D) -> (S, N, N): every edge kept with probability 1/2, independent."""
     return (torch.rand(_shape(observations), generator=generator) < 0.5).float()
 
 
 def self_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-    """(S, N, D) -> (S, N, N): every agent's own edge and no message between agents."""
+    """(S, N, D) -> (S, N, N): every agent's own edge, and no message between agents."""
     n_steps, n_agents, _ = observations.shape
     return torch.eye(n_agents).repeat(n_steps, 1, 1)
 
@@ -56,9 +56,9 @@ def self_mask(policy: Policy, observations: Tensor, generator: torch.Generator) 
 def nearest_mask(
     policy: Policy, observations: Tensor, generator: torch.Generator, *, position: Sequence[int]
 ) -> Tensor:
-    """(S, N, D) -> (S, N, N): exp(-distance in m), whatever the policy.
+    """(S, N, D) -> (S, N, N): exp(-distance in m), independent of the policy.
 
-    position: which two entries of an observation are its place.
+    position: the two entries of an observation that hold the agent's position.
     """
     place = observations[..., list(position)]
     return torch.exp(-torch.linalg.vector_norm(place[:, :, None] - place[:, None, :], dim=-1))
@@ -83,13 +83,13 @@ CONTROLS: dict[str, Explainer] = {
         Explainer(
             "all-ones",
             ones_mask,
-            "keeps every edge: the ceiling FidDelta cannot tell from truth",
+            "keeps every edge: shows that a high FidDelta alone proves nothing",
             control=True,
         ),
         Explainer("zeros", zeros_mask, "keeps nothing", control=True),
-        Explainer(RANDOM, random_mask, "uniform random mask: the floor", stochastic=True, control=True),
+        Explainer(RANDOM, random_mask, "uniform random mask", stochastic=True, control=True),
         Explainer("bernoulli", bernoulli_mask, "random edges, half of them", stochastic=True, control=True),
-        Explainer("self", self_mask, "each agent's own edge alone: explains no coordination", control=True),
+        Explainer("self", self_mask, "each agent's own edge only: explains no coordination", control=True),
         Explainer(
             ORACLE, oracle_mask, "the best binary mask for FidDelta", control=True, absence=Absence.ZERO
         ),
@@ -105,9 +105,9 @@ CONTROLS: dict[str, Explainer] = {
 
 
 def controls_of(task: str, card: PolicyCard) -> tuple[Explainer, ...]:
-    """CONTROLS, and those that know where agents are and what the network was before training.
+    """CONTROLS, and the controls by distance and by attention before training.
 
-    The first needs observations that say a place, the second a card that gives the seed of its weights.
+    Distance needs observations that hold a position, attention a card with the seed of the initial weights.
     """
     made = list(CONTROLS.values())
     names = TASKS[task].observation_names
@@ -117,7 +117,7 @@ def controls_of(task: str, card: PolicyCard) -> tuple[Explainer, ...]:
             Explainer(
                 NEAREST,
                 partial(nearest_mask, position=position),
-                "the nearer the sender, the higher, whatever the policy: another floor",
+                "the nearer the sender, the higher; ignores the policy",
                 control=True,
             )
         )
@@ -126,7 +126,7 @@ def controls_of(task: str, card: PolicyCard) -> tuple[Explainer, ...]:
             Explainer(
                 INITIAL_ATTENTION,
                 partial(initial_attention_mask, initial=initial_policy(card)),
-                "attention of the network before training: what it shows was not learned",
+                "attention of the network before training: not learned",
                 control=True,
             )
         )

@@ -1,11 +1,11 @@
-"""A scalar per agent that gradients, Shapley values and Captum can attribute to messages.
+"""The effect of messages: a scalar per agent that gradients, Shapley values and Captum attribute to messages.
 
     e_i(m) = sum over action entries of sign(F_i(1) - F_i(0)) * (F_i(m) - F_i(0)) / A
 
-is how far the action has moved under m along what all messages together do to it. e_i(0) = 0 and e_i(1) is
-d_i(0), the mean absolute change that removing all messages makes; while no entry overshoots F_i(1),
-e_i(m) = d_i(0) - d_i(m), with the d_i of the fidelities. Of discrete actions F_i are the probabilities and 2
-stands for A, so that d_i is the total variation distance and all of this holds too.
+is how far the action under m has moved in the direction in which all messages together move it. e_i(0) = 0,
+and e_i(1) is d_i(0), the mean absolute change from removing all messages. While no entry overshoots F_i(1),
+e_i(m) = d_i(0) - d_i(m), with the d_i of the fidelities. For discrete actions, F_i are the probabilities and
+2 replaces A: d_i is the total variation distance, and the same holds.
 
 S is the number of timesteps, N agents, A action entries.
 """
@@ -23,11 +23,11 @@ from torch import Tensor
 from xmarl_bench.metrics import categorical_kl, kl_divergence
 from xmarl_bench.policy import ActionDistribution, Policy
 
-NORMALISER = "0.5 + a / (2 max |a|) over the row"  # what `signed_to_unit` does, as entries record it
+NORMALISER = "0.5 + a / (2 max |a|) over the row"  # the formula of `signed_to_unit`, as entries record it
 
 
 def action_change(full: ActionDistribution, other: ActionDistribution) -> Tensor:
-    """(..., N): d_i, as `prediction_change` of the fidelities, with gradients."""
+    """(..., N): d_i, as `prediction_change` of the fidelities, but differentiable."""
     return (full.action - other.action).abs().sum(dim=-1) / full.divisor
 
 
@@ -55,14 +55,14 @@ def effect_direction(policy: Policy, prepared: Any, n_steps: int, n_agents: int)
 def signed_to_unit(attribution: Tensor) -> Tensor:
     """(..., N, N) -> [0, 1]: 0.5 + a / (2 max |a|) over each row.
 
-    Keeps the order and the sign: above 0.5 a message pushes the action the way all of them do, below 0.5
-    against it. A row of zeros becomes 0.5.
+    Keeps order and sign: a message above 0.5 moves the action in the direction of all messages together, one
+    below 0.5 against it. A row of zeros becomes 0.5.
     """
     largest = attribution.abs().amax(dim=-1, keepdim=True)
     return 0.5 + attribution / (2 * torch.where(largest > 0, largest, 1.0))
 
 
 def share_of_largest(attribution: Tensor) -> Tensor:
-    """(..., N, N), not negative -> [0, 1]: a / max a over each row. A row of zeros stays."""
+    """(..., N, N), not negative -> [0, 1]: a / max a over each row. A row of zeros is unchanged."""
     largest = attribution.amax(dim=-1, keepdim=True)
     return attribution / torch.where(largest > 0, largest, 1.0)

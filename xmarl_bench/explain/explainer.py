@@ -1,4 +1,4 @@
-"""What an explainer is, and the one way the harness runs it.
+"""The explainer interface, and how the harness runs explainers.
 
 S is the number of timesteps, N agents, D observation entries.
 """
@@ -28,68 +28,67 @@ Result = TypeVar("Result")
 
 
 class Explain(Protocol):
-    """Says how much each message matters."""
+    """Computes how much each message matters."""
 
     def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator, /) -> Tensor:
         """(S, N, D) float32 observations of one episode -> mask (S, N, N) in [0, 1].
 
         mask[s, i, j] is how much edge j -> i (sender j, receiver i; the diagonal is the agent's own edge)
-        matters at timestep s. `policy` is a private copy; all randomness comes out of `generator`.
+        matters at timestep s. `policy` is a private copy; all randomness must come from `generator`.
         """
 
 
-# (policy, observations (S, N, D) that no score uses, generator) -> what explains this policy.
+# (policy, observations (S, N, D) that no score uses, generator) -> an `Explain` for this policy.
 Fit = Callable[[Policy, Tensor, torch.Generator], Explain]
 
 
 @dataclass(frozen=True)
 class Explainer:
-    """An explainer as the benchmark knows it: the callable, and what it declares of itself.
+    """An explainer: the callable and its declarations.
 
-    An entry records the declarations and the harness acts on them. Third parties register one, or whatever
-    else `as_explainer` takes, under the entry-point group `xmarl_bench.explainers`, by the same name.
+    An entry records the declarations, and the harness acts on them. Third parties register an Explainer, or
+    anything that `as_explainer` accepts, in the entry-point group `xmarl_bench.explainers`, by the same name.
     """
 
     name: str
     explain: Explain
-    summary: str = ""  # one line for people
+    summary: str = ""  # one line
     stochastic: bool = False  # another seed gives another mask
-    slow: bool = False  # more than about 10 ms per timestep: gets fewer episodes where a run says so
-    control: bool = False  # not an explanation but a floor or ceiling to read the others by
+    slow: bool = False  # more than about 10 ms per timestep: a run may give it fewer episodes
+    control: bool = False  # not an explanation but a reference to compare explanations with
     hyperparameters: Mapping[str, Scalar] = field(default_factory=dict)
     batched: bool = True  # False: `explain` is called for one timestep at a time, (N, D) -> (N, N)
-    binary: bool = False  # masks of zeros and ones, refused otherwise
-    signed: bool = False  # finite numbers of either sign, brought to [0, 1] by `signed_to_unit`
-    # What it asks of the policy: "black-box" gets one that only answers (policy.black_box), "attention"
-    # one that tells its attention too; "gradients", and None for not said, the network itself.
+    binary: bool = False  # masks hold zeros and ones only, which is checked
+    signed: bool = False  # returns finite numbers of either sign, which `signed_to_unit` maps to [0, 1]
+    # Access to the policy. "black-box": a policy that only answers queries (policy.black_box); "attention":
+    # the same with attention; "gradients", or None (not declared): the network itself.
     accesses: Access | None = None
-    # The absence model under which it takes messages away; None where it takes none away, or does not say.
+    # The absence model under which it removes messages; None: it removes none, or does not declare it.
     absence: Absence | None = None
-    fit: Fit | None = None  # learns from states that no score uses, once per policy; gives what explains it
+    fit: Fit | None = None  # learns once per policy, from states that no score uses
     fitted_on: Tensor | None = field(default=None, compare=False, repr=False)  # (S, N, D)
-    # Set where it is found by name; None for an object that is handed over, see `origin_of_explainer`.
+    # Set if it was found by name; None for an object passed in Python, see `origin_of_explainer`.
     origin: Origin | None = field(default=None, compare=False, repr=False)
 
 
 def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
-    """(S, N, D) -> (S, N, N): the checked mask of one episode, a function of its arguments alone.
+    """(S, N, D) -> (S, N, N): the checked mask of one episode, a function of the arguments only.
 
-    The explainer sees copies, so the policy cannot be touched. The global random states of torch, numpy and
-    Python are seeded, for explainers that ignore their generator, and put back afterwards, and so is what
-    PyG's algorithms keep on their class. Raises InputError, naming the explainer, for whatever goes wrong
-    inside it.
+    The explainer gets copies, so it cannot change the policy. The global random states of torch, numpy and
+    Python are seeded, for explainers that ignore their generator, and restored afterwards, together with the
+    settings that PyG's algorithms keep on their class. Raises InputError, naming the explainer, if it fails.
     """
     n_steps, n_agents, _ = observations.shape
     returned = returned_by(explainer, policy, observations, seed)
     mask = mask_of_explainer(explainer, returned, n_steps, n_agents)
     adjacency = policy.adjacency(observations)
-    return mask if adjacency is None else mask * adjacency  # edges that are not there matter to nobody
+    return mask if adjacency is None else mask * adjacency  # 0 where the graph has no edge
 
 
 def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> object:
-    """As `run_explainer`, but what the explainer returned, whatever it is."""
+    """As `run_explainer`, but the explainer's return value, unchecked."""
     if explainer.fit is not None and explainer.fitted_on is None:
-        raise InputError(f"explainer {explainer.name!r} has to be fitted first: see `fit_explainer`.")
+        raise InputError(f"explainer {explainer.name!r} is not fitted: fit it with `fit_explainer` first.")
     n_steps, n_agents, _ = observations.shape
     name, explain = explainer.name, explainer.explain
 
@@ -108,9 +107,9 @@ def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed
 
 
 def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Explainer:
-    """The explainer fitted to `policy` on observations (S, N, D), itself where it needs no fitting.
+    """The explainer fitted to `policy` on observations (S, N, D); unchanged if it needs no fitting.
 
-    Runs as `run_explainer` does, on copies. Raises InputError, naming the explainer.
+    Runs on copies, as `run_explainer` does. Raises InputError, naming the explainer, if it fails.
     """
     fit = explainer.fit
     if fit is None:
@@ -125,30 +124,30 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
 
 
 def seen(explainer: Explainer, policy: Policy) -> Policy:
-    """What the explainer sees of a policy: all of it, or one that only answers."""
+    """The policy as the explainer may access it: the network itself, or a BlackBox."""
     if explainer.accesses in ("black-box", "attention"):
         return BlackBox(policy, attention=explainer.accesses == "attention")
     return policy
 
 
 def mask_of_explainer(explainer: Explainer, mask: object, n_steps: int, n_agents: int) -> Tensor:
-    """What the explainer returned, normalised if it is signed, as a checked mask (S, N, N)."""
+    """The explainer's return value as a checked mask (S, N, N), normalised if it is signed."""
     name = explainer.name
     if explainer.signed:
         mask = signed_to_unit(finite(name, as_floats(name, mask, (n_steps, n_agents, n_agents))))
     checked = checked_mask(name, mask, n_steps, n_agents)
     if explainer.binary and bool(((checked != 0) & (checked != 1)).any()):
         raise InputError(
-            f"explainer {name!r} declares binary masks and returned other values than 0 and 1: round them, "
+            f"explainer {name!r} declares binary masks but returned values other than 0 and 1: round them, "
             f"or leave `binary` out."
         )
     return checked
 
 
 def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor:
-    """The mask as a detached float32 tensor (S, N, N). Raises InputError naming the explainer.
+    """The mask as a detached float32 tensor (S, N, N). Raises InputError, naming the explainer, if invalid.
 
-    Nothing is clipped, filled or reshaped: a mask that is not one is refused.
+    Nothing is clipped, filled or reshaped.
     """
     numbers = finite(name, as_floats(name, mask, (n_steps, n_agents, n_agents)))
     low, high = float(numbers.min()), float(numbers.max())
@@ -160,14 +159,14 @@ def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor
 
 
 def as_floats(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
-    """A detached tensor of floating-point numbers of the shape expected. Raises InputError."""
+    """The mask, detached. Raises InputError unless it is a floating-point tensor of the expected shape."""
     if not isinstance(mask, Tensor):
         raise InputError(
             f"explainer {name!r} returned a {type(mask).__name__}: return a torch.Tensor of shape {expected}."
         )
     if tuple(mask.shape) != expected:
         raise InputError(
-            f"explainer {name!r} returned a mask of shape {tuple(mask.shape)}, expected {expected}."
+            f"explainer {name!r} returned a mask of shape {tuple(mask.shape)}: return shape {expected}."
         )
     if not mask.is_floating_point():
         raise InputError(
@@ -177,7 +176,7 @@ def as_floats(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
 
 
 def finite(name: str, mask: Tensor) -> Tensor:
-    """The mask, of finite numbers. Raises InputError."""
+    """The mask. Raises InputError if it holds NaN or infinity."""
     n_bad = int((~torch.isfinite(mask)).sum())
     if n_bad:
         raise InputError(
@@ -188,7 +187,7 @@ def finite(name: str, mask: Tensor) -> Tensor:
 
 
 def _guarded(explainer: Explainer, seed: int, what: str, run: Callable[[torch.Generator], Result]) -> Result:
-    """Call with everything that is global seeded and put back; errors name the explainer."""
+    """Run with global random states seeded, and restore them afterwards. Errors name the explainer."""
     with seeded(seed), class_settings_kept(), torch.inference_mode(False), torch.enable_grad():
         try:
             return run(torch.Generator().manual_seed(seed))

@@ -1,8 +1,8 @@
-"""What explainers that learn are fitted on: states of the policy's own episodes that no score uses.
+"""Fits explainers that learn, on states of the policy's own episodes that no score uses.
 
-FIT_EPISODES episodes of environment seeds 2^30 + k, which are seeds as training draws them (scoring seeds
-begin at 10^12), at FIT_TIMESTEPS evenly spaced steps of each. They are the same for every explainer and every
-run, whatever its sampling. An explainer is fitted once per policy and team size.
+The states: FIT_TIMESTEPS evenly spaced steps of each of FIT_EPISODES episodes with environment seeds 2^30 +
+k. Training draws such seeds; scoring seeds begin at 10^12. The states are the same for every explainer, run
+and sampling. An explainer is fitted once per policy and team size.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def fit_states(policy: Policy, task: str, n_agents: int) -> Tensor:
 
 
 def fitted(explainer: Explainer, policy: Policy, task: str, n_agents: int, seed: int) -> Explainer:
-    """The explainer, fitted to the policy where it needs that. seed: of the run. Raises InputError."""
+    """The explainer, fitted to the policy if it needs fitting. seed: of the run. Raises InputError."""
     if explainer.fit is None:
         return explainer
     states = fit_states(policy, task, n_agents)

@@ -1,8 +1,8 @@
-"""Makes an explainer ask about messages between agents alone: every agent's own edge is always kept.
+"""Makes an explainer explain messages between agents only: every agent's own edge is always kept.
 
-Most explainers compare with a team that hears nothing at all, not even itself. The order of the leaderboard
-keeps own edges, and that mismatch alone decides much: they explain another absence than the one they are
-measured by. `messages_only(shapley)` is Shapley's value of each message for an agent that hears itself.
+Most explainers compare with a team whose agents do not even hear themselves. The leaderboard's order keeps
+own edges, so these explainers explain another absence than the one they are measured by, which changes their
+scores much. `messages_only(shapley)` is Shapley's value of each message for an agent that hears itself.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SUFFIX = "-messages"
 
 
 class OwnKept(Policy):
-    """A policy whose agents always hear themselves, whatever a mask says of their own edges."""
+    """A policy whose agents always hear themselves: masks do not apply to own edges."""
 
     def __init__(self, policy: Policy) -> None:
         super().__init__()
@@ -40,7 +40,7 @@ class OwnKept(Policy):
         return action
 
     def prepare(self, observation: Tensor) -> Any:
-        """(S, N, D) -> what `decode` takes."""
+        """(S, N, D) -> input of `decode`."""
         return self.policy.prepare(observation)
 
     def decode(self, prepared: Any, mask: Tensor | None = None) -> ActionDistribution:
@@ -55,23 +55,23 @@ class OwnKept(Policy):
 
 
 def _with_own(mask: Tensor) -> Tensor:
-    """(..., N, N) -> the same with ones on the diagonal, through which no gradient flows."""
+    """(..., N, N) -> the same with ones on the diagonal, which have no gradient."""
     own = torch.eye(mask.shape[-1], dtype=mask.dtype)
     return mask * (1.0 - own) + own
 
 
 def messages_only(thing: object) -> Explainer:
-    """The explainer, or whatever `as_explainer` takes, as `NAME-messages`; own edges are 1 in its masks.
+    """The explainer, or anything that `as_explainer` accepts, as `NAME-messages`; its masks have own edges 1.
 
-    It is for explainers that ask `decode` about masks, as all that the benchmark ships do but attention's,
-    and for batched ones: one that is called for a timestep at a time is given the network itself. Raises
-    InputError where it is not batched, and where `as_explainer` does.
+    For batched explainers that call `decode` with masks, as all shipped ones except attention's do. Raises
+    InputError if the explainer is not batched, because it then uses the network itself, and where
+    `as_explainer` does.
     """
     explainer = as_explainer(thing)
     if not explainer.batched:
         raise InputError(
-            f"explainer {explainer.name!r} is called for one timestep at a time, with the network: it cannot "
-            f"be asked about messages alone."
+            f"explainer {explainer.name!r} is called for one timestep at a time, with the network: make it "
+            f"batched to explain messages only."
         )
 
     def asked(explain: Explain) -> Explain:

@@ -1,10 +1,10 @@
-"""The oracle: with one attention layer, F_i depends on row i of the mask alone, so all rows can be tried.
+"""The oracle: with one attention layer, F_i depends on row i of the mask only, so all rows can be tried.
 
-A binary row is written as a number r in [0, 2^N): bit j says whether the message j -> i is kept. Row 0 keeps
-nothing, row 2^N - 1 everything, and the complement of r is 2^N - 1 - r. Axis 0 of every table is r.
+A binary row is a number r in [0, 2^N): bit j tells whether the message j -> i is kept. Row 0 keeps nothing,
+row 2^N - 1 everything, and the complement of r is 2^N - 1 - r. Axis 0 of every table is r.
 
-No binary mask has a larger FidDelta than `oracle_mask`. Soft masks can: what `soft_oracle_mask` finds is
-larger by 0.2 to 2.9 % on the shipped policies. Exact Shapley values and FidDelta@k come out of the table too.
+No binary mask has a larger FidDelta than `oracle_mask`. Soft masks can: those of `soft_oracle_mask` are
+better by 0.2 to 2.9 % on the shipped policies. The table also gives exact Shapley values and FidDelta@k.
 
 S is the number of timesteps, N agents, A action entries, R = 2^N rows.
 """
@@ -24,15 +24,15 @@ from xmarl_bench.metrics import prediction_change, rows_within
 from xmarl_bench.policy import ActionDistribution, Policy, existing_edges
 
 MAX_AGENTS = 10
-# Network rows decoded at once: the best of 250 to 64000 on one core, for larger batches leave the cache.
-# One timestep is the least: 10240 rows at N = 10.
+# Network rows decoded at once: the fastest of 250 to 64000 on one core, because larger batches do not fit the
+# processor's cache. A chunk has at least one timestep: 10240 rows at N = 10.
 DECODED_AT_ONCE = 8192
-SOFT_STEPS = 6  # 30 gain a tenth more
-SOFT_STEP, SOFT_DECAY = 0.4, 0.65  # of the first step, in mask units, and from step to step
+SOFT_STEPS = 6  # 30 steps gain a tenth more
+SOFT_STEP, SOFT_DECAY = 0.4, 0.65  # length of the first step in mask units, and factor from step to step
 
 
 def why_no_oracle(policy: Policy, n_agents: int) -> str | None:
-    """Why there is none for this policy and team; None where there is one."""
+    """Why this policy and team size have no oracle; None if they have one."""
     if not policy.row_wise:
         return (
             "an oracle needs a single layer that passes messages, so that an action depends on its own row "
@@ -44,21 +44,21 @@ def why_no_oracle(policy: Policy, n_agents: int) -> str | None:
 
 
 def check_oracle(policy: Policy, n_agents: int) -> None:
-    """Raises InputError where rows do not act alone, or for a team whose rows are too many to try."""
+    """Raise InputError if this policy and team size have no oracle."""
     reason = why_no_oracle(policy, n_agents)
     if reason is not None:
         raise InputError(f"{reason}: leave the oracle out, or choose another policy or team.")
 
 
 def binary_rows(n_agents: int) -> Tensor:
-    """(R, N) float32: row r keeps sender j where bit j of r is set."""
+    """(R, N) float32: row r keeps sender j if bit j of r is set."""
     return ((torch.arange(2**n_agents)[:, None] >> torch.arange(n_agents)) & 1).float()
 
 
 def chunks(n_steps: int, n_agents: int, rows_per_agent: int) -> Iterator[slice]:
-    """Stretches of timesteps of about DECODED_AT_ONCE network rows, at least one timestep each.
+    """Chunks of timesteps of about DECODED_AT_ONCE network rows, at least one timestep each.
 
-    Chunks are a function of the shapes alone, so results are too: products round by their batch size.
+    Chunks, and so the rounding of matrix products, depend on the shapes only.
     """
     width = max(1, DECODED_AT_ONCE // (n_agents * rows_per_agent))
     for first in range(0, n_steps, width):
@@ -66,11 +66,11 @@ def chunks(n_steps: int, n_agents: int, rows_per_agent: int) -> Iterator[slice]:
 
 
 def action_tables(policy: Policy, observations: Tensor) -> Iterator[tuple[slice, ActionDistribution]]:
-    """(S, N, D) -> (timesteps, (R, s, N, A) of every binary row), a bounded stretch at a time.
+    """(S, N, D) -> (timesteps, (R, s, N, A) of every binary row), one chunk at a time.
 
-    Entry [r, s, i] is F_i at timestep s with row i of the mask set to r, whatever the other rows are.
+    Entry [r, s, i] is F_i at timestep s with row i of the mask set to r, for any other rows.
 
-    Raises InputError where the policy or the team does not allow it, see `check_oracle`.
+    Raises InputError as `check_oracle` does.
     """
     n_steps, n_agents, _ = observations.shape
     check_oracle(policy, n_agents)
@@ -96,7 +96,7 @@ def change_table(policy: Policy, observations: Tensor) -> NDArray[np.float64]:
 
 
 def change_from_last(table: ActionDistribution) -> NDArray[np.float64]:
-    """(R, s, N, A), of which the last row keeps everything -> (R, s, N): d_i of every row."""
+    """(R, s, N, A), whose last row keeps everything -> (R, s, N): d_i of every row."""
     actions = table.action.numpy()
     return prediction_change(actions[-1:], actions, table.divisor)
 
@@ -104,7 +104,7 @@ def change_from_last(table: ActionDistribution) -> NDArray[np.float64]:
 def best_rows(change: NDArray[np.float64], edges: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
     """(R, S, N) changes -> (S, N): the row of largest FidDelta of each receiver, the first among equals.
 
-    edges: (S, N, N), rows of existing senders only; None is the complete graph.
+    edges: (S, N, N), the edges of the graph, to exclude rows with absent senders; None: the complete graph.
     """
     delta = change[::-1] - change
     if edges is not None:
@@ -124,14 +124,14 @@ def oracle_mask(policy: Policy, observations: Tensor, generator: torch.Generator
 
 
 def mask_of(rows: NDArray[np.int64], n_agents: int) -> Tensor:
-    """(S, N) rows as numbers -> (S, N, N) mask of zeros and ones."""
+    """(S, N) numbers of rows -> (S, N, N) mask of zeros and ones."""
     return binary_rows(n_agents)[torch.from_numpy(rows)]
 
 
 def soft_oracle_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N) in [0, 1]: the best mask that projected ascent finds from the oracle's.
 
-    Every receiver's FidDelta is its own objective; a row is replaced only where that grew.
+    Maximises each receiver's FidDelta separately, and changes a row only if that improves it.
     """
     return ascend(policy, observations, oracle_mask(policy, observations, generator))
 

@@ -1,9 +1,9 @@
 """Runs an unmodified torch_geometric.explain algorithm on a policy, one graph (timestep) at a time.
 
-What PyG 2.8.1 leaves behind is kept from the policy and from the next graph: every graph gets its own deep
-copy of the policy (GraphMask freezes the model, keeps hooks on it and changes its plain forward), its own
-algorithm object and its own seed, drawn from the episode's generator; torch's global random state, the only
-one PyG knows, is put back, and so are the settings that two algorithms keep on their class.
+Isolates graphs from side effects of PyG 2.8.1: every graph gets its own deep copy of the policy (GraphMask
+freezes the model, keeps hooks on it and changes its plain forward), its own algorithm object and its own
+seed, drawn from the episode's generator. Afterwards torch's global random state, the only one that PyG uses,
+and the settings that two algorithms keep on their class are restored.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from xmarl_bench.policy import Policy
 class PygExplain:
     """An `Explain` callable (see xmarl_bench.explain.explainer) made of a PyG algorithm.
 
-    The graph is the policy's own, its edges in the order in which its layers receive them.
+    Uses the policy's graph, with its edges in the order in which its layers receive them.
 
-    algorithm: makes a fresh algorithm object.
+    algorithm: makes a new algorithm object.
     effect: explain the sum over agents of e_i (xmarl_bench.explain.effect), the single number that
-        CaptumExplainer needs. Otherwise the deterministic action of all agents is explained, a regression on
+        CaptumExplainer needs. Otherwise explain the deterministic actions of all agents, as a regression on
         nodes.
     per_agent: explain one agent at a time (PyG's `index`) and take row i from the explanation of agent i.
-    to_unit: brings the attributions (N, N) of algorithms that return no mask into [0, 1].
+    to_unit: maps attributions (N, N) to [0, 1], for algorithms that do not return masks.
 
-    A PGExplainer is trained on all timesteps and agents of the episode first (`PygFit` takes other states),
-    one object for the episode, and explains agent by agent whatever the options say: PyG's does nothing else.
+    A PGExplainer is first trained on all timesteps and agents of the episode (`PygFit` uses other states),
+    one object per episode. It explains agent by agent for any options, because PyG's supports nothing else.
     """
 
     algorithm: Callable[[], ExplainerAlgorithm]
@@ -65,7 +65,7 @@ class PygExplain:
         """(N, D) observations of one timestep -> (N, N)."""
         torch.manual_seed(seed)
         edge_index = policy.layer_edges(x)
-        if edge_index.numel() == 0:  # several algorithms take the minimum over edges
+        if edge_index.numel() == 0:  # several algorithms fail without edges
             return x.new_zeros(len(x), len(x))
         if not self.per_agent:
             return self._explanation(policy, x, edge_index, None)
@@ -79,7 +79,7 @@ class PygExplain:
 
 
 class _Effect(nn.Module):
-    """The sum over agents of e_i, up to a constant: one number per graph, as Captum takes it."""
+    """The sum over agents of e_i, up to a constant: one number per graph, as Captum needs."""
 
     def __init__(self, policy: Policy, x: Tensor) -> None:
         super().__init__()
@@ -93,15 +93,15 @@ class _Effect(nn.Module):
 
 @dataclass(frozen=True)
 class PygFit:
-    """A `Fit` (see explainer.py) made of a PGExplainer, the algorithm of PyG that learns first.
+    """A `Fit` (see explainer.py) made of a PGExplainer, the algorithm of PyG that is trained first.
 
-    algorithm: makes a fresh PGExplainer. It is trained on every timestep and agent, `epochs` times.
+    algorithm: makes a new PGExplainer. It is trained on every timestep and agent, `epochs` times.
     """
 
     algorithm: Callable[[], ExplainerAlgorithm]
 
     def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> TrainedPG:
-        """(S, N, D) -> what explains the policy, agent by agent."""
+        """(S, N, D) -> an `Explain` for the policy, agent by agent."""
         agents = range(observations.shape[1])
         with class_settings_kept(), torch.random.fork_rng(devices=[]), torch.enable_grad():
             torch.manual_seed(int(torch.randint(2**62, (), generator=generator)))
@@ -124,7 +124,7 @@ class TrainedPG:
     algorithm: PGExplainer
 
     def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-        """(S, N, D) -> (S, N, N): row i is explained for agent i alone."""
+        """(S, N, D) -> (S, N, N): row i is from the explanation of agent i."""
         agents = range(observations.shape[1])
         model = _private(policy)
         explainer = _connect(model, copy.deepcopy(self.algorithm), "node", "phenomenon")
@@ -140,7 +140,7 @@ class TrainedPG:
 
 @dataclass(frozen=True)
 class Copies:
-    """Makes fresh algorithms of one that somebody set up, with its settings of that moment."""
+    """Makes copies of a configured algorithm, with its settings at the time of `of`."""
 
     algorithm: ExplainerAlgorithm
     coeffs: dict[str, Any]
@@ -152,16 +152,16 @@ class Copies:
     def __call__(self) -> ExplainerAlgorithm:
         fresh = copy.deepcopy(self.algorithm)
         if self.coeffs:
-            fresh.coeffs = copy.deepcopy(self.coeffs)  # its own, where PyG keeps them on the class
+            fresh.coeffs = copy.deepcopy(self.coeffs)  # PyG keeps them on the class
         if isinstance(fresh, PGExplainer):
-            # Its weights were drawn when it was made, and its optimiser holds layers that were not copied.
+            # Its weights were drawn when the original was made, and its optimiser refers to the original's.
             fresh.reset_parameters()
             fresh.optimizer = torch.optim.Adam(fresh.mlp.parameters(), lr=fresh.lr)
         return fresh
 
 
 def _matrix(explanation: Explanation) -> Tensor:
-    """(N, N), 0 where there is no edge."""
+    """(N, N) edge mask of an explanation, 0 where there is no edge."""
     sender, receiver = explanation.edge_index
     x: Tensor = explanation.x
     matrix = x.new_zeros(len(x), len(x))
@@ -170,9 +170,9 @@ def _matrix(explanation: Explanation) -> Tensor:
 
 
 def _private(policy: Policy, *, differentiable: bool = False) -> Policy:
-    """A copy. No algorithm trains the model: PyG's own would compute gradients of the weights for nothing.
+    """A copy of the policy, without gradients of its weights unless `differentiable`: no algorithm trains it.
 
-    Captum's Deconvolution and GuidedBackprop need them, for they hook every ReLU, also before the mask.
+    Captum's Deconvolution and GuidedBackprop need them, because they hook every ReLU, also before the mask.
     """
     model = copy.deepcopy(policy)
     model.requires_grad_(differentiable)
@@ -193,7 +193,7 @@ def _connect(
 
 @contextmanager
 def class_settings_kept() -> Iterator[None]:
-    """Put back what PyG's algorithms keep on their class: `coeffs`, which every instance made updates."""
+    """Restore `coeffs` of PyG's algorithms, which they keep on their class and every instance updates."""
     before = {owner: copy.deepcopy(owner.coeffs) for owner in _owners(ExplainerAlgorithm)}
     try:
         yield
@@ -203,7 +203,7 @@ def class_settings_kept() -> Iterator[None]:
 
 
 def _owners(algorithm: type[Any]) -> Iterator[type[Any]]:
-    """Subclasses, at any depth, with a `coeffs` of their own."""
+    """Subclasses, at any depth, with their own `coeffs`."""
     for subclass in algorithm.__subclasses__():
         if "coeffs" in vars(subclass):
             yield subclass

@@ -1,6 +1,6 @@
-"""Does an explanation depend on the weights, as it should, and not on the seed, as it should not?
+"""Checks that an explanation depends on the weights, and not on the seed.
 
-Both are checked on a few timesteps of a few episodes: they ask for several more runs of the explainer.
+Both checks use a few timesteps of a few episodes, because they run the explainer several more times.
 Sources: Adebayo et al., "Sanity Checks for Saliency Maps" (NeurIPS 2018), model parameter randomisation;
 Agarwal et al. (GraphXAI, 2023), stability.
 """
@@ -27,7 +27,7 @@ def seed_stability(
 ) -> float:
     """Mean rank correlation of the masks (S, N, N) of SEEDS seeds, `mask` the first; 1 is perfectly stable.
 
-    NaN where a mask ranks nothing. An explainer that says it is not stochastic is stable by its own word.
+    NaN if a mask ranks nothing. For stochastic explainers only.
     """
     masks = [mask.numpy()] + [
         run_explainer(explainer, policy, observations, derived_seed("stability", seed, k)).numpy()
@@ -42,7 +42,7 @@ def weight_randomisation(
 ) -> float:
     """Rank correlation of `mask` (S, N, N) with the mask of the same policy with shuffled weights.
 
-    Near 0 is right: what was learned has gone, so should the explanation. NaN where a mask ranks nothing.
+    Should be near 0: shuffling destroys what the policy learned. NaN if a mask ranks nothing.
     """
     other = mask_of_shuffled_weights(explainer, policy, observations, seed)
     return rank_correlation(mask.numpy(), other.numpy(), existing_edges(policy, observations))
@@ -51,14 +51,14 @@ def weight_randomisation(
 def mask_of_shuffled_weights(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
     """(S, N, D) -> (S, N, N): what the explainer says of the policy once its weights are shuffled."""
     shuffled = shuffled_weights(policy, derived_seed("shuffled weights", seed))
-    if explainer.fitted_on is not None:  # what it learned of the weights as they were has to go as well
+    if explainer.fitted_on is not None:  # fit it anew to the shuffled weights
         refit = derived_seed("shuffled fit", seed)
         explainer = fit_explainer(explainer, shuffled, explainer.fitted_on, refit)
     return run_explainer(explainer, shuffled, observations, derived_seed("shuffled", seed))
 
 
 def shuffled_weights(policy: Policy, seed: int) -> Policy:
-    """A copy whose every parameter tensor has its entries in random order: same scales, nothing learned."""
+    """A copy with the entries of every parameter tensor in random order: same scales, nothing learned."""
     generator = torch.Generator().manual_seed(seed)
     shuffled = copy.deepcopy(policy)
     with torch.no_grad():

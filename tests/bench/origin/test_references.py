@@ -101,7 +101,7 @@ def test_a_file_does_not_shadow_a_module(file: Path) -> None:
         ("no_such_module:x", "ModuleNotFoundError"),
         ("{folder}/broken.py:x", r"failed to load \(ZeroDivisionError"),
         ("{folder}/stops.py:x", r"failed to load \(SystemExit"),
-        ("math:pi", "a float explains nothing"),
+        ("math:pi", "a float is not an explainer"),
         ("math:sqrt", "name its parameters"),
     ],
 )

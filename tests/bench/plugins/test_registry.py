@@ -44,7 +44,7 @@ def test_a_plugin_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("gone", "tests.bench.no_such_module:x", "ModuleNotFoundError"),
         ("gone", "tests.helpers.example_plugins:no_such_name", "AttributeError"),
-        ("gone", "tests.helpers.example_plugins:not_an_explainer", "a str explains nothing"),
+        ("gone", "tests.helpers.example_plugins:not_an_explainer", "a str is not an explainer"),
         ("gone", "tests.helpers.example_plugins:misnamed", "'another'"),
         ("random", "tests.helpers.example_plugins:vandal", "control"),
     ],

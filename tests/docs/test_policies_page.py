@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 
 from tests.helpers.policies import random_observations
@@ -46,6 +47,25 @@ def test_the_networks_of_the_page_are_accepted(tmp_path: Path) -> None:
     policy, _ = PolicyModule("mine", network, "blind_navigation_v0", 3).open(origin_of(network))
     alpha = policy.attention(random_observations(2, 3, 6))
     torch.testing.assert_close(alpha.sum(dim=-1), torch.ones(2, 3))
+
+
+@pytest.mark.slow
+def test_the_discrete_policy_of_the_page_is_scored() -> None:
+    (code,) = [block for block in blocks("python") if '"categorical"' in block]
+    page: dict[str, Any] = {}
+    exec(compile(code, "policies.md", "exec", dont_inherit=True), page)
+    entry = score(page["make"](), "gradient", episodes=1, timesteps=3, max_cycles=4, behaviour_episodes=0)
+    assert list(entry_findings(entry)) == []
+    assert entry.policy.architecture.action_dim == 5
+    continuous = score(
+        "navigation-n3-residual-lambda0-seed0",
+        "gradient",
+        episodes=1,
+        timesteps=3,
+        max_cycles=4,
+        behaviour_episodes=0,
+    )
+    assert entry.protocol != continuous.protocol  # they share no table
 
 
 def test_the_key_map_of_the_page_is_valid() -> None:

@@ -1,4 +1,4 @@
-"""What explainers find of planted truth."""
+"""Scores of explainers on planted truth."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from xmarl_bench.planted.families import FAMILIES
 from xmarl_bench.plugins.registry import find_explainer
 
 
-def test_what_explainers_are_good_and_bad_at_by_design() -> None:
-    """Occlusion cannot see a redundant pair; attention falls for the decoy, and for nothing else."""
+def test_explainers_have_their_known_strengths_and_weaknesses() -> None:
+    """Occlusion cannot see a redundant pair; attention fails only on the decoy."""
     names = ("attention", "occlusion", "shapley")
     found = score_planted([find_explainer(name) for name in names], sizes=[5], n_steps=30)
 
@@ -39,7 +39,7 @@ def test_what_explainers_are_good_and_bad_at_by_design() -> None:
     assert tau > 0.5
 
 
-def test_one_that_fails_is_told_and_stops_no_other() -> None:
+def test_a_failing_explainer_is_reported_and_does_not_stop_the_others() -> None:
     def broken(policy: object, observations: torch.Tensor, generator: object) -> torch.Tensor:
         raise ValueError("not today")
 

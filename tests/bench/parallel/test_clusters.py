@@ -1,4 +1,4 @@
-"""Fan-out on real clusters, of Ray and of Dask: a head on loopback and two worker processes."""
+"""Fan-out on real clusters of Ray and Dask: a head on loopback and two worker processes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_two_processes_compute(workers: Workers, tmp_path: Path) -> None:
     assert len(pids) >= 2  # a cluster may replace one
 
 
-def test_results_are_those_of_one_process_though_a_worker_was_killed(
+def test_results_equal_those_of_one_process_even_if_a_worker_is_killed(
     workers: Workers, tmp_path: Path
 ) -> None:
     rollouts = some_rollouts()
@@ -54,29 +54,27 @@ def test_results_are_those_of_one_process_though_a_worker_was_killed(
     assert units_of_work.to_the_bit(played) == units_of_work.to_the_bit(expected)
 
 
-def test_entries_are_those_of_one_process(workers: Workers, make_bundle: MakeBundle) -> None:
+def test_entries_equal_those_of_one_process(workers: Workers, make_bundle: MakeBundle) -> None:
     bundle = make_bundle()
     assert entries(bundle, workers) == entries(bundle, Workers())
 
 
-def test_failures_stay_alone(workers: Workers) -> None:
+def test_a_failure_does_not_affect_other_units(workers: Workers) -> None:
     returned = dict(fan_out(units_of_work.fail, [0, 1, 2, 3, 4, 5], workers=workers))
     errors = {k: each.error for k, each in returned.items() if isinstance(each, Failure)}
     assert (returned[0], returned[5], sorted(errors)) == (0, 5, [1, 2, 3, 4])
     assert errors[1] == "a sentence of its own."
 
 
-def test_jobs_bounds_what_is_under_way(workers: Workers) -> None:
+def test_jobs_bounds_the_units_under_way(workers: Workers) -> None:
     one = Workers(1, workers.backend, workers.address)
     times = sorted(in_order(units_of_work.started_and_ended, range(6), workers=one))
     assert all(ended <= started for (_, ended), (started, _) in pairwise(times))
 
 
 @pytest.mark.parametrize("backend", ["ray", "dask"])
-def test_a_unit_that_kills_its_workers_is_a_failure_at_last(
-    backend: BackendName, request: pytest.FixtureRequest
-) -> None:
-    """On Dask's workers of this machine: that one is given no second chance by a scheduler's own counting."""
+def test_a_unit_that_kills_its_workers_fails(backend: BackendName, request: pytest.FixtureRequest) -> None:
+    """On local Dask workers, whose scheduler does not retry by itself."""
     workers = (
         Workers(2, "dask") if backend == "dask" else Workers(None, "ray", request.getfixturevalue("ray"))
     )

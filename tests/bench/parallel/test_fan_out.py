@@ -1,4 +1,4 @@
-"""Fan-out on this machine: what comes back, from which processes, and what if units or workers fail."""
+"""Fan-out on this machine: results, processes, and failures of units or workers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BOTH = pytest.mark.parametrize(
 
 
 @BOTH
-def test_every_unit_comes_back_once_with_its_index(workers: Workers) -> None:
+def test_every_unit_returns_once_with_its_index(workers: Workers) -> None:
     returned = list(fan_out(units_of_work.square, range(2, 30), workers=workers))
     assert sorted(returned) == [(k, (k + 2) ** 2) for k in range(28)]
     assert list(fan_out(units_of_work.square, [], workers=workers)) == []
@@ -37,7 +37,7 @@ def test_every_unit_comes_back_once_with_its_index(workers: Workers) -> None:
 
 
 @pytest.mark.slow
-def test_one_process_is_this_one_and_two_are_two_others(tmp_path: Path) -> None:
+def test_one_job_runs_in_this_process_and_two_in_two_others(tmp_path: Path) -> None:
     assert {pid for _, pid in fan_out(units_of_work.process, range(3))} == {os.getpid()}
     units = [str(tmp_path)] * 20
     pids = {pid for _, pid in fan_out(units_of_work.process_beside_another, units, workers=TWO)}
@@ -53,16 +53,16 @@ def test_a_worker_computes_with_one_thread(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.slow
-def test_others_may_use_loky_before_and_after() -> None:
-    """A thread has one pool of loky's processes, which its other users take for theirs."""
+def test_other_code_can_use_loky_before_and_after() -> None:
+    """All users in a thread share loky's pool of processes."""
     for k in (3, 4):
         assert get_reusable_executor(3).submit(units_of_work.square, k).result() == k * k
         assert dict(fan_out(units_of_work.square, [k, k], workers=TWO)) == {0: k * k, 1: k * k}
 
 
 @pytest.mark.slow
-def test_one_that_ends_early_costs_another_nothing(tmp_path: Path) -> None:
-    """Both use the same workers, which the end of one kills; the other's units are tried again."""
+def test_a_fan_out_that_ends_early_does_not_affect_another(tmp_path: Path) -> None:
+    """Both use the same workers, which the end of one kills; units of the other are retried."""
 
     def broken() -> Iterator[int]:
         yield 1
@@ -70,7 +70,7 @@ def test_one_that_ends_early_costs_another_nothing(tmp_path: Path) -> None:
 
     gate = tmp_path / "gate"
     other = fan_out(units_of_work.square_behind, [(k, gate) for k in range(9)], workers=TWO)
-    returned = [next(other)]  # the first passes; all others wait
+    returned = [next(other)]  # the first unit returns; all others wait
     with pytest.raises(InputError, match="no more of them"):
         next(fan_out(units_of_work.square, broken(), workers=TWO))
     gate.touch()
@@ -79,8 +79,8 @@ def test_one_that_ends_early_costs_another_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_no_long_answer_waits_in_the_pipe_that_workers_share() -> None:
-    """A worker killed in the middle of one would leave the main process waiting for the rest of it."""
+def test_long_answers_do_not_go_through_the_shared_pipe() -> None:
+    """If a worker is killed while writing one, the main process would wait for the rest for ever."""
     with connected(TWO) as backend:
         sent = [send(backend.submit, units_of_work.zeros, n_bytes) for n_bytes in (10, 10**7)]
         answers = [future.result() for future in sent]
@@ -92,19 +92,19 @@ def test_no_long_answer_waits_in_the_pipe_that_workers_share() -> None:
     assert not long.parent.exists()
 
 
-def test_an_answer_that_cannot_be_kept_is_a_failure_of_its_unit(tmp_path: Path) -> None:
+def test_an_answer_that_cannot_be_stored_fails_its_unit(tmp_path: Path) -> None:
     failure = kept_in(str(tmp_path / "gone"), bytes(10**6))
     assert isinstance(failure, Failure)
     assert failure.error.startswith("FileNotFoundError")
 
 
 @BOTH
-def test_units_are_taken_no_faster_than_results_are(workers: Workers) -> None:
+def test_units_are_taken_no_faster_than_results_are_read(workers: Workers) -> None:
     taken = 0
 
     def count() -> Iterator[int]:
         nonlocal taken
-        for k in range(10**9):  # nobody could make a list of it
+        for k in range(10**9):  # too many for a list
             taken += 1
             yield k
 
@@ -117,7 +117,7 @@ def test_units_are_taken_no_faster_than_results_are(workers: Workers) -> None:
 
 
 @BOTH
-def test_a_unit_that_raises_stops_no_other(workers: Workers) -> None:
+def test_a_unit_that_raises_does_not_stop_the_others(workers: Workers) -> None:
     returned = dict(fan_out(units_of_work.fail, [0, 1, 2, 3, 5], workers=workers))
     failures = {k: each for k, each in returned.items() if isinstance(each, Failure)}
     assert (returned[0], returned[4]) == (0, 5)
@@ -128,11 +128,11 @@ def test_a_unit_that_raises_stops_no_other(workers: Workers) -> None:
     ]
     for failure in failures.values():
         assert failure.traceback is not None
-        assert "units_of_work.py" in failure.traceback  # where it happened, on whichever worker
+        assert "units_of_work.py" in failure.traceback  # the traceback of the worker
 
 
 @pytest.mark.slow
-def test_what_cannot_be_sent_fails_alone() -> None:
+def test_a_unit_that_cannot_be_sent_fails_alone() -> None:
     units = [units_of_work.Unpicklable(), units_of_work.Unloadable(), 4, 6]
     returned = dict(fan_out(units_of_work.fail, units, workers=TWO))
     errors = [each.error for _, each in sorted(returned.items()) if isinstance(each, Failure)]
@@ -143,7 +143,7 @@ def test_what_cannot_be_sent_fails_alone() -> None:
 
 
 @BOTH
-def test_in_order_raises_the_first_error_as_it_was(workers: Workers) -> None:
+def test_in_order_raises_the_first_error_unchanged(workers: Workers) -> None:
     with pytest.raises(InputError, match=r"^a sentence of its own\.$"):
         list(in_order(units_of_work.fail, [0, 1, 5], workers=workers))
     with pytest.raises(KeyError, match="missing"):
@@ -152,7 +152,7 @@ def test_in_order_raises_the_first_error_as_it_was(workers: Workers) -> None:
 
 @pytest.mark.slow
 @BOTH
-def test_an_error_of_the_units_themselves_is_raised(workers: Workers) -> None:
+def test_an_error_of_the_iterator_of_units_is_raised(workers: Workers) -> None:
     def units() -> Iterator[int]:
         yield from range(12)
         raise InputError("no more of them.")
@@ -165,7 +165,7 @@ def test_an_error_of_the_units_themselves_is_raised(workers: Workers) -> None:
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_costs_only_the_unit_that_kills_it() -> None:
+def test_only_the_unit_that_kills_its_worker_fails() -> None:
     returned = dict(fan_out(units_of_work.kill_worker, range(10), workers=TWO))
     killers = [3, 8]
     assert sorted(returned) == list(range(10))
@@ -182,7 +182,7 @@ def test_a_worker_that_dies_costs_only_the_unit_that_kills_it() -> None:
 
 
 @pytest.mark.slow
-def test_a_worker_killed_from_outside_costs_nothing() -> None:
+def test_after_a_worker_is_killed_from_outside_all_units_return() -> None:
     expected = [(k, k * k) for k in range(200)]
     returned = []
     for k, each in fan_out(units_of_work.square_and_process, range(200), workers=TWO):
@@ -196,19 +196,19 @@ def test_a_worker_killed_from_outside_costs_nothing() -> None:
 
 SCRIPT = """
 import signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
+signal.signal(signal.SIGINT, signal.default_int_handler)  # it is ignored if the tests run in the background
 from tests.helpers import units_of_work
 from xmarl_bench.parallel.fan_out import fan_out
 from xmarl_bench.parallel.workers import Workers
 list(fan_out(units_of_work.hold, [sys.argv[1]] * 8, workers=Workers(2)))
 """
-DEADLINE = 120  # seconds: only what hangs takes so long
+DEADLINE = 120  # seconds; only a hang takes so long
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_workers_end_with_the_main_process(kill: signal.Signals, tmp_path: Path) -> None:
-    """Each worker holds a pipe open as long as it lives, and nobody else does: its end is theirs."""
+    """Only the workers hold a pipe open while they live, so it closes when the last one ends."""
     fifo = tmp_path / "held"
     os.mkfifo(fifo)
     pipe = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
@@ -229,7 +229,7 @@ def test_workers_end_with_the_main_process(kill: signal.Signals, tmp_path: Path)
                 os.kill(pid, signal.SIGKILL)
         os.close(pipe)
     assert main.returncode != 0
-    assert "ExecutorManagerThread" not in said  # no quarrel of threads beside it
+    assert "ExecutorManagerThread" not in said  # no errors of other threads
     if kill == signal.SIGINT:
         assert said.rstrip().endswith("KeyboardInterrupt")
 
@@ -247,13 +247,13 @@ end_workers()
 
 
 @pytest.mark.slow
-def test_a_program_ends_though_a_worker_cannot() -> None:
-    """As one that waits for the lock of another which was killed."""
+def test_a_program_ends_even_if_a_worker_hangs() -> None:
+    """Like a worker that waits for a lock of a killed one."""
     assert subprocess.run([sys.executable, "-c", STOP], timeout=DEADLINE, check=False).returncode == 0
 
 
 def _read(pipe: int, otherwise: str) -> bytes:
-    """What is written to the pipe next; nothing once all who held it have ended."""
+    """The next bytes written to the pipe; empty once all its writers have ended."""
     readable, _, _ = select.select([pipe], [], [], DEADLINE)
     assert readable, f"{otherwise}, {DEADLINE} s later"
     return os.read(pipe, 1000)
@@ -267,13 +267,13 @@ def _read(pipe: int, otherwise: str) -> bytes:
         ((2, "loky", "10.0.0.1:8786"), "address 10.0.0.1:8786 has no effect with the backend loky"),
     ],
 )
-def test_workers_that_are_none_are_refused(arguments: tuple[object, ...], said: str) -> None:
+def test_invalid_workers_are_refused(arguments: tuple[object, ...], said: str) -> None:
     with pytest.raises(InputError, match=said):
         Workers(*arguments)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("backend", "package"), [("ray", "ray"), ("dask", "distributed")])
-def test_a_backend_that_is_not_installed_is_said(
+def test_the_error_for_a_missing_backend_says_what_to_install(
     backend: BackendName, package: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("xmarl_bench.parallel.backends.find_spec", lambda name: None)
@@ -288,7 +288,7 @@ def test_a_backend_that_is_not_installed_is_said(
 @pytest.mark.parametrize(
     ("address", "said"), [("127.0.0.1:9", "no {} cluster answers at"), ("head", "is invalid")]
 )
-def test_a_cluster_that_does_not_answer_is_said_before_a_client_tries_for_minutes(
+def test_a_cluster_that_does_not_answer_is_refused_without_a_long_wait(
     backend: BackendName, client: str, address: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(client, lambda *_, **__: pytest.fail(f"{client} was called"))
@@ -296,6 +296,6 @@ def test_a_cluster_that_does_not_answer_is_said_before_a_client_tries_for_minute
         list(fan_out(units_of_work.square, [1], workers=Workers(2, backend, address)))
 
 
-def test_no_unit_starts_no_worker(tmp_path: Path) -> None:
+def test_without_units_no_worker_starts(tmp_path: Path) -> None:
     nowhere = Workers(2, "dask", "127.0.0.1:9")
     assert list(fan_out(units_of_work.square, [], workers=nowhere)) == []

@@ -1,4 +1,4 @@
-"""Ranking quality by hand and by scikit-learn's definitions."""
+"""Ranking quality, by hand and by the definitions of scikit-learn."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from xmarl_bench.planted.truth import auroc, average_precision
 
 ONE = np.ones((1, 4), dtype=bool)
-ONE[0, 1:] = False  # receiver 0 alone
+ONE[0, 1:] = False  # receiver 0 only
 
 
 def row(*values: float) -> np.ndarray:
@@ -26,12 +26,12 @@ def matters(*which: bool) -> np.ndarray:
     return relevant
 
 
-def test_by_hand() -> None:
+def test_auroc_and_average_precision_by_hand() -> None:
     first, last = matters(True, False, False), matters(False, False, True)
     assert auroc(row(0.9, 0.5, 0.1), first, ONE) == average_precision(row(0.9, 0.5, 0.1), first, ONE) == 1.0
     assert auroc(row(0.9, 0.5, 0.1), last, ONE) == 0.0
     assert average_precision(row(0.9, 0.5, 0.1), last, ONE) == pytest.approx(1 / 3)
-    two = matters(True, False, True)  # above and below the one that does not
+    two = matters(True, False, True)  # above and below the irrelevant one
     assert auroc(row(0.9, 0.5, 0.1), two, ONE) == 0.5
     assert average_precision(row(0.9, 0.5, 0.1), two, ONE) == pytest.approx((1 + 2 / 3) / 2)
     assert auroc(row(0.5, 0.5, 0.5), first, ONE) == 0.5
@@ -39,7 +39,7 @@ def test_by_hand() -> None:
 
 
 @given(st.integers(0, 10**6))
-def test_the_truth_is_perfect_and_its_inverse_the_worst(seed: int) -> None:
+def test_the_truth_scores_best_and_its_inverse_worst(seed: int) -> None:
     rng = np.random.default_rng(seed)
     relevant = np.zeros((5, 4, 4), dtype=bool)
     for s, i in np.ndindex(5, 4):

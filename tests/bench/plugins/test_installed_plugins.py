@@ -1,4 +1,4 @@
-"""Packages of strangers: written by `new`, built, installed into a fresh environment, scored, compared."""
+"""Third-party packages: written by `new`, built, installed into a fresh environment, scored, compared."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def ask(environment: Environment) -> Iterator[Ask]:
 
 @pytest.fixture
 def run(ask: Ask, tmp_path: Path) -> Run:
-    """run(program, argument, ..., site=folder) -> what the program did there, in an empty folder."""
+    """run(program, argument, ..., site=folder) -> the result of the program, run in an empty folder."""
 
     def run(*command: object, site: Path | None = None) -> Ran:
         request: Request = {"command": [str(word) for word in command], "folder": str(tmp_path)}
@@ -60,7 +60,7 @@ def run(ask: Ask, tmp_path: Path) -> Run:
     return run
 
 
-def test_both_are_found_scored_and_compared(run: Run, tmp_path: Path) -> None:
+def test_new_explainers_and_policies_are_listed_scored_and_compared(run: Run, tmp_path: Path) -> None:
     listed = json.loads(run("xmarl-bench", "list", "explainers", "--json").out)
     (row,) = (row for row in listed if row["name"] == "stranger-explainer")
     assert (row["distribution"], row["version"]) == ("stranger-explainer", "0.1.0")
@@ -87,13 +87,13 @@ def test_both_are_found_scored_and_compared(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["explainer", "policy"])
-def test_they_pass_their_own_tests_at_once(kind: str, run: Run, packages: Path) -> None:
+def test_new_packages_pass_their_own_tests(kind: str, run: Run, packages: Path) -> None:
     tested = run("pytest", "-q", "-p", "no:cacheprovider", packages / kind)
     assert tested.code == 0, tested.out
     assert "2 passed" in tested.out
 
 
-def test_one_that_does_not_import_stops_the_command_and_hides_no_other(
+def test_a_package_that_fails_to_import_is_reported_and_does_not_hide_the_others(
     environment: Environment, run: Run, tmp_path: Path
 ) -> None:
     broken = environment.folder / "broken"

@@ -1,4 +1,4 @@
-"""What `new` writes; that it installs, passes its tests and is scored is in test_installed_plugins.py."""
+"""The files that `new` writes; test_installed_plugins.py installs and scores them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONFIG = Path(__file__).parents[3] / "pyproject.toml"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["explainer", "policy"])
-def test_files_are_complete_and_well_formed(kind: str, run_cli: RunCli, tmp_path: Path) -> None:
+def test_files_are_complete_and_valid(kind: str, run_cli: RunCli, tmp_path: Path) -> None:
     folder = tmp_path / "package"
     ran = run_cli("new", kind, "brand-new.one", "--out", folder)
     assert ran.code == 0, ran.err
@@ -49,14 +49,14 @@ def test_files_are_complete_and_well_formed(kind: str, run_cli: RunCli, tmp_path
         ("json", "already installed"),
     ],
 )
-def test_names_that_do_not_work_are_refused(name: str, said: str, run_cli: RunCli, tmp_path: Path) -> None:
+def test_invalid_names_are_refused(name: str, said: str, run_cli: RunCli, tmp_path: Path) -> None:
     ran = run_cli("new", "explainer", name, "--out", tmp_path / "package")
     assert (ran.code, ran.out, len(ran.err.splitlines())) == (2, "", 1)
     assert said in ran.err
     assert not (tmp_path / "package").exists()
 
 
-def test_nothing_is_written_over(run_cli: RunCli, tmp_path: Path) -> None:
+def test_existing_files_are_not_overwritten(run_cli: RunCli, tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     ran = run_cli("new", "policy", "brand-new", "--out", tmp_path)
     assert ran.code == 2

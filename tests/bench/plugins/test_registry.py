@@ -1,4 +1,4 @@
-"""Names resolve through entry points, and a plugin that does not load says so."""
+"""Names resolve through entry points, and a plugin that fails to load is reported."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_plugin_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
         ("random", "tests.helpers.example_plugins:vandal", "control"),
     ],
 )
-def test_a_plugin_that_does_not_load_is_an_error_with_its_name(
+def test_the_error_of_a_plugin_that_fails_to_load_names_it(
     monkeypatch: pytest.MonkeyPatch, name: str, value: str, said: str
 ) -> None:
     install(monkeypatch, **{name: value})
@@ -58,7 +58,7 @@ def test_a_plugin_that_does_not_load_is_an_error_with_its_name(
             registry.find_explainer(each)
 
 
-def test_a_broken_plugin_does_not_stand_in_the_way_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_plugin_does_not_affect_others(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, broken="tests.bench.no_such_module:x", vandal="tests.helpers.example_plugins:vandal")
     assert registry.find_explainer("vandal").name == "vandal"
 
@@ -81,7 +81,7 @@ def test_policies_come_from_plugins_or_folders(
         registry.find_policy("yours")
 
 
-def test_a_policy_plugin_that_does_not_load_hides_no_other(
+def test_a_policy_plugin_that_fails_to_load_does_not_hide_others(
     monkeypatch: pytest.MonkeyPatch, make_bundle: MakeBundle, run_cli: RunCli
 ) -> None:
     folder = make_bundle(name="mine")

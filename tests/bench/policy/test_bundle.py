@@ -1,4 +1,4 @@
-"""Policies on disk: what is saved is what is loaded. Damaged bundles are in test_cli."""
+"""Policies are saved and loaded without changes. Damaged bundles are in test_cli."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xmarl_bench.policy import load_policy, save_policy
 from xmarl_bench.policy.untrusted import CARD
 
 
-def test_round_trip_to_the_bit(tmp_path: Path) -> None:
+def test_saving_and_loading_keeps_every_bit(tmp_path: Path) -> None:
     policy = small_policy(6, 3)
     saved = save_policy(
         tmp_path / "x", policy, name="x", task="blind_navigation_v0", n_agents=3, attention_entropy=0.1
@@ -40,7 +40,7 @@ def test_round_trip_to_the_bit(tmp_path: Path) -> None:
         ("n_agents", 0, "n_agents"),
     ],
 )
-def test_a_card_that_is_none_is_refused(make_bundle: MakeBundle, key: str, value: object, said: str) -> None:
+def test_an_invalid_card_is_refused(make_bundle: MakeBundle, key: str, value: object, said: str) -> None:
     folder = make_bundle()
     card = json.loads((folder / CARD).read_text())
     (folder / CARD).write_text(json.dumps(card | {key: value}))

@@ -1,4 +1,4 @@
-"""Policies that bring code: taken when trusted, refused otherwise, and said so in the entry."""
+"""Policies given as code: accepted if trusted, refused otherwise, and recorded in the entry."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def misnamed() -> PolicyModule:
 
 
 class Dense(nn.Module):
-    """Agents meet in a sum over all rows."""
+    """Agents interact in a sum over all rows."""
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
         return (x - x.mean(dim=0))[:, :4]
@@ -89,7 +89,7 @@ def test_code_does_not_run_unless_trusted(run_cli: RunCli, tmp_path: Path) -> No
 
 @pytest.mark.usefixtures("plugin")
 @pytest.mark.parametrize("name", ["pilot", f"{HERE}:pilot"])
-def test_trusted_code_is_scored_and_the_entry_says_so(name: str, run_cli: RunCli, tmp_path: Path) -> None:
+def test_trusted_code_is_scored_and_the_entry_records_it(name: str, run_cli: RunCli, tmp_path: Path) -> None:
     ran = run_cli("score", "--policy", name, "--explainer", "self", *QUICK, "--out", tmp_path, "--trust-code")
     assert ran.code == 0, ran.err
     ((_, entry),) = read_entries(tmp_path / "entries")
@@ -100,7 +100,7 @@ def test_trusted_code_is_scored_and_the_entry_says_so(name: str, run_cli: RunCli
     assert entry.results[0].metrics.fid_plus.value
 
 
-def test_a_module_of_a_notebook_is_scored_as_it_is() -> None:
+def test_a_module_from_a_notebook_is_scored_directly() -> None:
     entry = score(near(), "random", episodes=1, timesteps=3, max_cycles=4, behaviour_episodes=0)
     assert entry.policy.trusted_code
     assert entry.policy.architecture.graph == RadiusGraph(radius=1.0)
@@ -121,27 +121,27 @@ def test_a_module_of_a_notebook_is_scored_as_it_is() -> None:
         ("gone", "has no 'gone'"),
     ],
 )
-def test_factories_that_make_no_policy(factory: str, said: str) -> None:
+def test_factories_that_return_no_policy_are_refused(factory: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         registry.open_policy(f"{HERE}:{factory}", trust_code=True)
 
 
 @pytest.mark.usefixtures("plugin")
-def test_a_plugin_has_one_name() -> None:
+def test_a_plugin_s_policy_must_have_its_registered_name() -> None:
     with pytest.raises(InputError, match=r"'other'.*calls itself 'near'"):
         registry.open_policy("other", trust_code=True)
     with pytest.raises(InputError, match="has no bundle"):
         registry.find_policy("pilot")
 
 
-def test_a_bundle_needs_no_trust(make_bundle: MakeBundle) -> None:
+def test_a_bundle_does_not_need_trust(make_bundle: MakeBundle) -> None:
     policy, card = registry.open_policy(str(make_bundle()))
     assert card.name == "small"
     assert not policy.training
 
 
 @pytest.mark.parametrize("command", ["check policy", "score --explainer self --policy"])
-def test_a_network_that_no_mask_explains_is_refused_before_anything_runs(
+def test_a_network_that_masks_cannot_reach_is_refused_before_anything_runs(
     command: str, run_cli: RunCli, tmp_path: Path
 ) -> None:
     where = ("--out", tmp_path) if "score" in command else ()
@@ -150,7 +150,7 @@ def test_a_network_that_no_mask_explains_is_refused_before_anything_runs(
     assert "Dense passes no message through a layer of torch_geometric" in ran.err
 
 
-def test_a_factory_in_a_file(tmp_path: Path) -> None:
+def test_a_factory_in_a_file_is_loaded(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
         "from tests.bench.checks.test_policy_checks import Pilot\n"

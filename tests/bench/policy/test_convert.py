@@ -1,4 +1,4 @@
-"""Weights that others saved: read without executing them, renamed, and the same policy afterwards."""
+"""Weights saved by other libraries are read without executing anything and give the same policy."""
 
 from __future__ import annotations
 
@@ -86,10 +86,13 @@ def test_a_checkpoint_of_xmarl_train(family: Family, tmp_path: Path, run_cli: Ru
 
 
 class TorchRLActor(nn.Module):
-    """As BenchMARL puts an actor together: a graph layer, TorchRL's own MLP for all agents, its own head."""
+    """An actor as BenchMARL builds it: a graph layer, TorchRL's MLP for all agents and its head."""
 
     def __init__(self) -> None:
-        from torchrl.modules import MultiAgentMLP, NormalParamExtractor  # a second, for this test alone
+        from torchrl.modules import (
+            MultiAgentMLP,
+            NormalParamExtractor,
+        )  # takes a second, and only this test needs it
 
         super().__init__()
         self.gnns = nn.ModuleList([GATv2Conv(6, 8)])
@@ -161,7 +164,7 @@ def hostile(kind: str, path: Path) -> Path:
 @pytest.mark.parametrize(
     "kind", ["pickle", "old format", "payload", "payload in sb3", "bomb", "text", "gone"]
 )
-def test_what_is_more_than_weights_is_refused(kind: str, tmp_path: Path, run_cli: RunCli) -> None:
+def test_files_with_more_than_weights_are_refused(kind: str, tmp_path: Path, run_cli: RunCli) -> None:
     path = hostile(kind, tmp_path / "x.pt")
     ran = run_cli("convert", path, "--out", tmp_path / "out", *TASK)
     assert ran.code == 2
@@ -170,7 +173,7 @@ def test_what_is_more_than_weights_is_refused(kind: str, tmp_path: Path, run_cli
     assert not (tmp_path / "out").exists()
 
 
-def test_a_checkpoint_with_pickles_beside_its_weights_runs_none_of_them(tmp_path: Path) -> None:
+def test_pickles_beside_a_checkpoint_s_weights_are_not_loaded(tmp_path: Path) -> None:
     inner = io.BytesIO()
     torch.save({"actor.x": torch.ones(2)}, inner)
     with zipfile.ZipFile(tmp_path / "c.zip", "w") as archive:
@@ -193,7 +196,7 @@ def test_key_maps_by_hand() -> None:
             rename(tensors, key_map)
 
 
-def test_a_tensor_that_claims_a_size_is_copied_only_where_it_fits() -> None:
+def test_a_tensor_with_a_false_size_is_not_copied() -> None:
     huge = torch.zeros(1).expand(2**40)
     assert dense({"w": huge}, {"w": (3,)})["w"] is huge
     with pytest.raises(InputError, match="NaN"):
@@ -212,7 +215,9 @@ def test_a_tensor_that_claims_a_size_is_copied_only_where_it_fits() -> None:
         ({"--architecture": None, "--agents": 0}, "no policy can have this n_agents"),
     ],
 )
-def test_bad_options(options: dict[str, Any], said: str, tmp_path: Path, run_cli: RunCli) -> None:
+def test_invalid_options_are_refused(
+    options: dict[str, Any], said: str, tmp_path: Path, run_cli: RunCli
+) -> None:
     weights = weights_of(random_policy(record(GAT2)))
     if "do not fit" in said:
         weights["layers.0.bias"] = torch.zeros(3)

@@ -1,4 +1,4 @@
-"""Which seed stands for a cell, and which policies a word means."""
+"""The selection of a cell's best seed, and the groups of policies by name."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ def card(name: str, success: float, free: float = 1.0, makespan: float = 100.0, 
     return PolicyCard(name=name, architecture=small_policy(6).architecture, weights_sha256="0" * 64, **record)
 
 
-def test_success_and_collisions_together_then_the_makespan() -> None:
+def test_policies_are_ordered_by_success_and_collisions_then_makespan() -> None:
     cards = [card("a", 1.0, 0.6), card("b", 0.98, 0.95, 80), card("c", 0.97, 0.96, 70), card("d", 0.9, 1.0)]
     assert [each.name for each in default_policies(cards)] == ["c"]
 
 
-def test_discovery_punishes_no_collision() -> None:
+def test_collisions_do_not_count_in_discovery() -> None:
     cards = [card(name, *seen, task="blind_discovery_v0") for name, seen in
              {"bold": (0.95, 0.2), "shy": (0.94, 0.9)}.items()]  # fmt: skip
     assert [each.name for each in default_policies(cards)] == ["bold"]
 
 
-def test_performance_on_the_episodes_of_scoring_has_no_part_in_it() -> None:
+def test_performance_on_scoring_episodes_does_not_count() -> None:
     heard = {"success_rate": 1.0, "no_agent_collision": 1.0, "no_object_collision": None}
     cards = [card("validated", 0.9), card("lucky", 0.8, performance={"with_messages": heard})]
     assert [each.name for each in default_policies(cards)] == ["validated"]
@@ -56,12 +56,12 @@ def test_one_for_each_task_team_size_and_regulariser() -> None:
     assert names == {"plain", "stronger", "larger", "elsewhere"}
 
 
-def test_the_family_comes_first_and_others_stand_where_it_has_none() -> None:
+def test_the_first_family_is_preferred_and_others_fill_missing_cells() -> None:
     others = [card("of-the-paper", 1.0, family="paper"), card("stranger", 0.7, n_agents=4, family=None)]
     assert [each.name for each in default_policies([*others, card("ours", 0.9)])] == ["ours", "stranger"]
 
 
-def test_checkpoints_and_unvalidated_policies_stand_for_nothing() -> None:
+def test_checkpoints_and_unvalidated_policies_are_never_default() -> None:
     checkpoint = card("checkpoint", 1.0)
     checkpoint = checkpoint.model_copy(update={"training": {**checkpoint.training, "percent": 20}})
     assert default_policies([checkpoint, card("unvalidated", 1.0, training={})]) == []
@@ -72,14 +72,14 @@ def names_of(word: str) -> set[str]:
 
 
 @pytest.mark.slow
-def test_finished_are_all_but_checkpoints_and_families_are_parts_of_them() -> None:
+def test_finished_are_all_but_checkpoints_and_contain_the_families() -> None:
     every, finished, residual = (names_of(word) for word in ("all", "finished", "residual"))
     assert every - finished == {name for name in every if "-at" in name}
     assert residual == {name for name in finished if "-residual-" in name}
     assert names_of("default") & residual
 
 
-def test_default_among_the_shipped_ones() -> None:
+def test_defaults_of_the_shipped_policies() -> None:
     chosen = select_policies(["default"], ["blind_discovery_v0"], ["3"])
     assert [(card.task, card.n_agents) for _, card, _ in chosen] == [("blind_discovery_v0", 3)] * 2
     assert [card.attention_entropy > 0 for _, card, _ in chosen] == [False, True]

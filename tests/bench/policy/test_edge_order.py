@@ -1,4 +1,4 @@
-"""Networks that bring their edges into another order: masks, attention and PyG's explainers follow."""
+"""Networks that reorder their edges: masks, attention and PyG's explainers follow."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def opened(network: nn.Module) -> ModulePolicy:
 
 
 def source_major(edge_index: Tensor, n: int) -> Tensor:
-    """The network's own list of everybody to everybody, team by team."""
+    """The network's own list of all edges, team by team."""
     first = torch.arange(0, n, N)[:, None]
     sender, receiver = complete_graph(N).flip(0)
     return torch.stack([(first + sender).flatten(), (first + receiver).flatten()])
@@ -50,7 +50,7 @@ rewired = pytest.mark.parametrize("network", REWIRED.values(), ids=REWIRED)
 
 
 @rewired
-def test_the_layer_receives_edges_in_another_order(network: OneLayer) -> None:
+def test_the_layer_gets_edges_in_another_order(network: OneLayer) -> None:
     seen: list[Tensor] = []
     hook = network.layer.register_propagate_forward_pre_hook(lambda layer, inputs: seen.append(inputs[0]))
     network(random_observations(1, N, 6)[0], complete_graph(N))
@@ -59,7 +59,7 @@ def test_the_layer_receives_edges_in_another_order(network: OneLayer) -> None:
 
 
 @rewired
-def test_masks_land_on_the_right_edges(network: OneLayer) -> None:
+def test_masks_reach_the_right_edges(network: OneLayer) -> None:
     policy = opened(network)
     observations, masks = random_observations(5, N, 6), random_masks(5, N)
     with torch.no_grad():
@@ -74,7 +74,7 @@ def test_masks_land_on_the_right_edges(network: OneLayer) -> None:
 
 
 @rewired
-def test_a_message_moves_its_receiver_alone(network: OneLayer) -> None:
+def test_a_message_moves_only_its_receiver(network: OneLayer) -> None:
     policy, observations = opened(network), random_observations(1, N, 6)
     mask = torch.ones(1, N, N)
     mask[0, 0, 1] = 0.0
@@ -84,7 +84,7 @@ def test_a_message_moves_its_receiver_alone(network: OneLayer) -> None:
 
 
 @rewired
-def test_masks_of_pyg_go_by_place_and_land_there_too(network: OneLayer) -> None:
+def test_pyg_s_masks_by_place_reach_the_right_edges_too(network: OneLayer) -> None:
     policy = opened(network)
     observations, masks = random_observations(4, N, 6), random_masks(4, N)
     with torch.no_grad():
@@ -100,7 +100,7 @@ def test_masks_of_pyg_go_by_place_and_land_there_too(network: OneLayer) -> None:
 
 @rewired
 @pytest.mark.parametrize("algorithm", [AttentionExplainer, lambda: CaptumExplainer("Saliency")])
-def test_explainers_of_pyg_say_the_same_in_every_order(
+def test_explainers_of_pyg_give_the_same_mask_for_every_order(
     network: OneLayer, algorithm: Callable[[], ExplainerAlgorithm]
 ) -> None:
     explain = PygExplain(algorithm, effect=algorithm is not AttentionExplainer)
@@ -114,7 +114,7 @@ def test_explainers_of_pyg_say_the_same_in_every_order(
 
 
 class TwoOrders(nn.Module):
-    """A layer that puts loops last, and one that leaves edges as they are."""
+    """A layer that puts loops last, and one that keeps the order."""
 
     def __init__(self) -> None:
         super().__init__()

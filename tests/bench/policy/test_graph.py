@@ -1,4 +1,4 @@
-"""Graphs that are not complete: an absent edge carries nothing, and no metric ranks, keeps or counts it."""
+"""Incomplete graphs: absent edges carry no message, and no metric ranks, keeps or counts them."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ def test_edges_of_a_given_adjacency_by_hand() -> None:
         FixedGraph(n_agents=2, edges=((0, 5),)).check(2, 6)
 
 
-def test_order_of_edges_is_that_of_the_mask() -> None:
+def test_edges_have_the_order_of_the_mask() -> None:
     assert torch.equal(edge_index_of(torch.ones(1, 3, 3, dtype=torch.bool)), complete_graph(3))
 
 
 @pytest.mark.parametrize("layers", [LAYERS, LAYERS * 2], ids=["one layer", "two layers"])
-def test_masked_forward_is_pyg_on_the_policys_own_edges(layers: list[dict[str, Any]]) -> None:
+def test_masked_forward_equals_pyg_on_the_policy_s_edges(layers: list[dict[str, Any]]) -> None:
     policy = policy_on(RADIUS, layers)
     observations, masks = random_observations(5, N, 6), random_masks(5, N)
     there = RADIUS.adjacency(observations)
@@ -99,7 +99,7 @@ def test_masked_forward_is_pyg_on_the_policys_own_edges(layers: list[dict[str, A
             torch.testing.assert_close(ours[s], theirs, rtol=0, atol=1e-5)
 
 
-def test_what_a_mask_holds_where_there_is_no_edge_is_not_read() -> None:
+def test_mask_values_of_absent_edges_are_ignored() -> None:
     policy, observations = policy_on(RADIUS), random_observations(5, N, 6)
     there = RADIUS.adjacency(observations)
     masks = random_masks(5, N)
@@ -130,7 +130,7 @@ def test_a_given_complete_adjacency_scores_as_the_complete_graph() -> None:
             assert ours[name] == pytest.approx(theirs[name], rel=1e-9, abs=1e-9), name
 
 
-def test_random_and_oracle_at_k_by_trying_every_subset() -> None:
+def test_random_and_oracle_at_k_equal_brute_force_over_subsets() -> None:
     policy, observations = policy_on(RADIUS), random_observations(6, N, 6)
     there = RADIUS.adjacency(observations).numpy()
     delta = fid_delta_table(change_table(policy, observations))
@@ -146,7 +146,7 @@ def test_random_and_oracle_at_k_by_trying_every_subset() -> None:
         assert oracle[k - 1] == pytest.approx(np.mean(bests), abs=1e-12)
 
 
-def test_absent_senders_are_ranked_last_whatever_the_mask_says() -> None:
+def test_absent_senders_are_ranked_last_for_every_mask() -> None:
     there = np.array([[[True, False, True], [True, True, True], [False, True, True]]])
     mask = np.array([[[0.1, 1.0, 0.2], [0.3, 0.2, 0.1], [1.0, 0.0, 0.0]]])
     noise = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.9, 0.1]]])
@@ -159,7 +159,7 @@ def test_absent_senders_are_ranked_last_whatever_the_mask_says() -> None:
     assert rows_within(8, there)[:, 0, 0].nonzero()[0].tolist() == [0b000, 0b001, 0b100, 0b101]
 
 
-def test_counts_go_over_existing_edges_only() -> None:
+def test_only_existing_edges_are_counted() -> None:
     there = np.array([[[True, False], [True, True]]])
     assert mask_mass(np.array([[[0.5, 1.0], [0.25, 0.75]]]), there).tolist() == [0.5]
     assert attention_distance(np.array([[[1.0, 0.0], [0.75, 0.25]]]), there).tolist() == [2.0]
@@ -183,7 +183,7 @@ def test_the_oracle_keeps_existing_edges_and_no_mask_beats_it() -> None:
         assert other <= best + 1e-9
 
 
-def test_a_mask_says_nothing_of_edges_that_are_not_there() -> None:
+def test_the_harness_sets_masks_of_absent_edges_to_zero() -> None:
     def everything(policy: object, observations: Tensor, generator: torch.Generator) -> Tensor:
         return torch.ones(len(observations), N, N)
 
@@ -192,7 +192,7 @@ def test_a_mask_says_nothing_of_edges_that_are_not_there() -> None:
     assert torch.equal(mask, RADIUS.adjacency(observations).float())
 
 
-def test_pyg_explains_on_the_policys_own_edges() -> None:
+def test_pyg_s_explainers_get_the_policy_s_edges() -> None:
     from torch_geometric.explain import DummyExplainer
 
     policy, observations = policy_on(RADIUS), random_observations(3, N, 6)
@@ -218,7 +218,7 @@ def test_policies_on_a_graph_are_scored(layers: list[dict[str, Any]], tmp_path: 
     assert (ones.fid_minus.value, ones.mask_mass.value) == (0.0, 1.0)
 
 
-def test_a_team_that_the_graph_is_not_for_is_refused(tmp_path: Path) -> None:
+def test_a_team_of_another_size_than_the_graph_is_refused(tmp_path: Path) -> None:
     save_policy(tmp_path / "f", policy_on(FixedGraph(n_agents=4, edges=((0, 1),))), name="f", **CARD)
     with pytest.raises(InputError, match="for 4 agents, not for 3"):
         score(tmp_path / "f", "random", episodes=1)

@@ -1,4 +1,4 @@
-"""Graphs without self loops: what agents hear there, and how policies on them are scored."""
+"""Graphs without self loops: messages on them, and scores of policies."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ def test_records_of_graphs_with_loops_are_written_as_before() -> None:
     assert CompleteGraph.model_validate_json(without.model_dump_json()) == without
 
 
-def test_the_fast_path_is_for_graphs_with_loops() -> None:
+def test_graphs_without_loops_do_not_take_the_fast_path() -> None:
     assert isinstance(random_policy(record(LAYERS)), GraphPolicy)
     assert record(LAYERS, graph={"kind": "complete", "loops": False}).as_one_layer() is None
 
 
-def test_an_agent_that_hears_nobody_acts_on_its_own() -> None:
+def test_an_agent_without_messages_acts_on_its_own_observation() -> None:
     policy: Any = random_policy(record(LAYERS, graph={"kind": "radius", "radius": 1e-6, "loops": False}))
     observations = random_observations(3, 3, 6)
     with torch.no_grad():
@@ -66,7 +66,7 @@ def test_an_agent_that_hears_nobody_acts_on_its_own() -> None:
     assert (full[:, 0] - full[:, 1]).abs().max() > 1e-3
 
 
-def test_the_own_edge_of_a_mask_is_not_read() -> None:
+def test_the_own_edge_of_a_mask_is_ignored() -> None:
     policy: Any = random_policy(record(LAYERS, graph={"kind": "complete", "loops": False}))
     observations, masks = random_observations(4, 3, 6), random_masks(4, 3)
     other = masks.clone()
@@ -76,24 +76,24 @@ def test_the_own_edge_of_a_mask_is_not_read() -> None:
         assert torch.equal(loc, policy.distribution(observations, other).loc)
 
 
-def test_mass_goes_over_the_timesteps_that_have_an_edge() -> None:
+def test_mask_mass_is_over_timesteps_with_an_edge() -> None:
     policy: Any = random_policy(record(LAYERS, graph={"kind": "radius", "radius": 1.5, "loops": False}))
     observations = random_observations(4, 3, 6)
-    observations[1] += 100.0 * torch.arange(3)[:, None]  # far from one another
+    observations[1] += 100.0 * torch.arange(3)[:, None]  # agents far from one another
     states = States.of(policy, observations, np.random.default_rng(0))
     there = policy.adjacency(observations)
     assert there.any(dim=(1, 2)).tolist() == [True, False, True, True]
     assert states.mask_metrics(0.25 * torch.ones(4, 3, 3)).mask_mass == 0.25
 
 
-def test_attention_of_receivers_without_edges_is_no_failure() -> None:
+def test_receivers_without_edges_pass_the_check_of_attention() -> None:
     policy: Any = random_policy(record(LAYERS, graph={"kind": "radius", "radius": 1.0, "loops": False}))
     assert failed(policy, "attention", "blind without messages", "masks reach their edges") == {}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("graph", GRAPHS, ids=["complete", "radius"])
-def test_they_are_saved_and_scored(graph: Any, tmp_path: Path) -> None:
+def test_policies_without_loops_are_saved_and_scored(graph: Any, tmp_path: Path) -> None:
     save_policy(tmp_path / "p", random_policy(record(LAYERS, graph=graph.model_dump())), name="p", **CARD)
     policy, card = load_policy(tmp_path / "p")
     assert isinstance(card.architecture, LayeredArchitecture)
@@ -104,15 +104,15 @@ def test_they_are_saved_and_scored(graph: Any, tmp_path: Path) -> None:
     assert cell.metrics.fid_delta.value is not None
     assert cell.controls["all-ones"].fid_minus.value == 0.0
     assert cell.controls["all-ones"].mask_mass.value == 1.0
-    # With no own edge, to keep it alone is to keep nothing.
+    # Without own edges, `self` keeps nothing.
     nothing = cell.controls["zeros"].fid_minus.value
     assert cell.controls["self"].fid_minus.value == nothing
     assert cell.metrics.communication_dependence.value == pytest.approx(nothing)
 
 
 @pytest.mark.slow
-def test_a_timestep_without_any_edge_has_no_mass(tmp_path: Path, run_cli: RunCli) -> None:
-    """At 1e-6 m nobody is near: there is nothing to keep, and the mass of a mask is no number."""
+def test_without_any_edge_mask_mass_is_null(tmp_path: Path, run_cli: RunCli) -> None:
+    """Within 1e-6 m no agent has a neighbour, so mask mass is undefined."""
     far: Any = random_policy(record(LAYERS, graph={"kind": "radius", "radius": 1e-6, "loops": False}))
     save_policy(tmp_path / "far", far, name="far", **CARD)
     options = ("--episodes", 1, "--timesteps", 3, "--max-cycles", 4, "--behaviour-episodes", 0)

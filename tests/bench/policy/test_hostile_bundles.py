@@ -1,4 +1,4 @@
-"""Bundles made to harm: nothing in them runs, each is refused with one sentence in little time and memory."""
+"""Hostile bundles: nothing in them runs, and each is refused with one sentence, little time and memory."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.policy import load_policy, save_policy
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 
-RAN: list[str] = []  # what a payload would leave behind
+RAN: list[str] = []  # traces of payloads that ran
 MUTATIONS = 500
 
 
@@ -39,7 +39,7 @@ class Payload:
 
 
 def refused(bundle: Path) -> str:
-    """The one sentence; fails where the bundle loads, takes a second, or anything of it ran."""
+    """The error's one sentence; fails if the bundle loads, takes a second, or executes anything."""
     started = time.process_time()
     with pytest.raises(InputError) as error:
         load_policy(bundle)
@@ -87,7 +87,7 @@ def claim(shape: list[Any], dtype: str = "F32", offsets: object = (0, 4)) -> dic
     ],
     ids=range(20),
 )
-def test_what_is_no_safetensors(make_bundle: MakeBundle, data: bytes) -> None:
+def test_invalid_safetensors_are_refused(make_bundle: MakeBundle, data: bytes) -> None:
     folder = make_bundle()
     (folder / WEIGHTS).write_bytes(data)
     assert WEIGHTS in refused(folder)
@@ -103,12 +103,12 @@ def test_torch_files_are_not_opened_under_any_name(make_bundle: MakeBundle, tmp_
     beside = make_bundle(name="beside")
     for name in ("policy.pth", "policy.pkl", "data.pkl", "hubconf.py", "conftest.py"):
         (beside / name).write_bytes(buffer.getvalue())
-    load_policy(beside)  # a folder may hold anything: the two files alone are opened
+    load_policy(beside)  # other files in a folder are not opened
     assert RAN == []
 
 
-def test_places_of_tensors_that_lie(make_bundle: MakeBundle) -> None:
-    """Every tensor fits its shape, but two share bytes, bytes are left over, or there is a gap."""
+def test_false_offsets_of_tensors_are_refused(make_bundle: MakeBundle) -> None:
+    """Every tensor fits its shape, but two share bytes, bytes remain, or there is a gap."""
     folder = make_bundle()
     data = (folder / WEIGHTS).read_bytes()
     (length,) = struct.unpack("<Q", data[:8])
@@ -146,7 +146,7 @@ def nested(depth: int) -> bytes:
     ],
     ids=range(12),
 )
-def test_what_is_no_card(make_bundle: MakeBundle, text: bytes) -> None:
+def test_invalid_cards_are_refused(make_bundle: MakeBundle, text: bytes) -> None:
     folder = make_bundle()
     (folder / CARD).write_bytes(text)
     assert CARD in refused(folder)
@@ -170,7 +170,7 @@ def test_what_is_no_card(make_bundle: MakeBundle, text: bytes) -> None:
     ],
     ids=range(11),
 )  # fmt: skip
-def test_architectures_that_are_none(make_bundle: MakeBundle, change: dict[str, Any]) -> None:
+def test_invalid_architectures_are_refused(make_bundle: MakeBundle, change: dict[str, Any]) -> None:
     folder = make_bundle()
     card = json.loads((folder / CARD).read_text())
     replaced = change if "entry_point" in change else {**card["architecture"], **change}
@@ -214,7 +214,7 @@ def test_a_zip_of_the_two_files_is_a_bundle(make_bundle: MakeBundle, tmp_path: P
 
 
 @pytest.mark.slow
-def test_zips_that_are_none(make_bundle: MakeBundle, tmp_path: Path) -> None:
+def test_invalid_zips_are_refused(make_bundle: MakeBundle, tmp_path: Path) -> None:
     folder = make_bundle()
     good = {name: (folder / name).read_bytes() for name in (CARD, WEIGHTS)}
     for k, name in enumerate(
@@ -262,7 +262,7 @@ def values(rng: random.Random) -> Any:
 
 
 def mutated_json(data: bytes, rng: random.Random) -> bytes:
-    """One to three values of the JSON replaced, removed or added, anywhere in it."""
+    """The JSON with one to three values replaced, removed or added."""
     value = json.loads(data)
     for _ in range(rng.randint(1, 3)):
         node = value
@@ -310,8 +310,8 @@ def mutated_weights(data: bytes, rng: random.Random) -> bytes:
 
 
 @pytest.mark.slow
-def test_mutations_do_nothing(make_bundle: MakeBundle, tmp_path: Path) -> None:
-    """Each is refused with a sentence, or loads as a policy of the bounded size its record says."""
+def test_mutated_bundles_are_refused_or_load_within_bounds(make_bundle: MakeBundle, tmp_path: Path) -> None:
+    """Each is refused with a sentence, or loads as a policy of the bounded size in its record."""
     deep = tmp_path / "policies" / "deep"
     save_policy(
         deep, random_policy(record(GAT2, graph={"kind": "radius", "radius": 1.0})), name="deep", **FIELDS
@@ -347,6 +347,6 @@ def test_mutations_do_nothing(make_bundle: MakeBundle, tmp_path: Path) -> None:
             assert sum(parameter.numel() for parameter in policy.parameters()) < 1000
         slowest = max(slowest, time.process_time() - started)
     assert RAN == []
-    assert n_loaded < MUTATIONS / 4  # of harmless fields, such as the seed of training
+    assert n_loaded < MUTATIONS / 4  # mutations of harmless fields, such as the training seed
     assert slowest < 2.0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100 * 1024  # kB

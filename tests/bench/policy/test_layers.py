@@ -1,4 +1,4 @@
-"""Architectures beyond one layer: what a record builds, which of it is the fast path, how it is scored."""
+"""Layered architectures: the networks they build, which of them take the fast path, their scores."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_deep_policies_are_scored_on_the_generic_path(layers: list[dict[str, Any
     n_layers=st.integers(1, 2),
     distribution=st.sampled_from(["tanh_normal", "normal", "deterministic", "categorical"]),
 )
-def test_a_batch_is_one_graph_at_a_time(
+def test_a_batch_equals_one_graph_at_a_time(
     conv: str, heads: int, concat: bool, residual: bool, n_layers: int, distribution: str
 ) -> None:
     layer = dict(conv=conv, width=3, heads=heads, concat=concat, residual=residual, activation="silu")
@@ -105,7 +105,7 @@ def as_layer(name: str) -> str:
 
 @pytest.mark.parametrize("residual", [False, True])
 @pytest.mark.parametrize("distribution", ["tanh_normal", "categorical"])
-def test_one_layer_of_one_head_is_the_fast_path_and_equals_the_generic_one(
+def test_one_layer_of_one_head_takes_the_fast_path_and_equals_the_generic_one(
     residual: bool, distribution: str, tmp_path: Path
 ) -> None:
     layer = {"conv": "GATv2Conv", "width": 8, "residual": residual, "activation": "tanh"}
@@ -142,13 +142,13 @@ def test_one_layer_of_one_head_is_the_fast_path_and_equals_the_generic_one(
         {"layers": ({"conv": "GATConv", "width": 8, "activation": "tanh"},)},
     ],
 )
-def test_all_else_is_the_generic_path(changes: dict[str, Any]) -> None:
+def test_other_architectures_take_the_generic_path(changes: dict[str, Any]) -> None:
     architecture = record([{"conv": "GATv2Conv", "width": 8, "activation": "tanh"}], **changes)
     assert architecture.as_one_layer() is None
     assert isinstance(random_policy(architecture), ModulePolicy)
 
 
-def test_old_names_of_tensors_stay() -> None:
+def test_names_of_tensors_are_unchanged() -> None:
     shapes = weight_shapes(small_policy(6).architecture)
     assert shapes["gat.lin_l.weight"] == (8, 7)
     assert set(shapes) == {
@@ -159,7 +159,7 @@ def test_old_names_of_tensors_stay() -> None:
     assert set(weights_of(small_policy(6))) == set(shapes)
 
 
-def test_action_and_entry_of_other_distributions(tmp_path: Path) -> None:
+def test_other_distributions_have_their_actions_and_entries(tmp_path: Path) -> None:
     normal = random_policy(record(TRANSFORMER, distribution="normal"))
     distribution = normal.distribution(random_observations(3, 3, 6))
     assert torch.equal(distribution.action, distribution.loc.clamp(-1, 1))
@@ -196,7 +196,7 @@ def test_records_are_bounded(changes: dict[str, Any], said: str) -> None:
         record(GAT2, **changes)
 
 
-def test_too_many_parameters_are_refused_before_one_is_made() -> None:
+def test_too_many_parameters_are_refused_before_allocation() -> None:
     widest = {"conv": "TransformerConv", "width": 512, "heads": 8, "activation": "tanh"}
     with pytest.raises(InputError, match=r"5\d{8} parameters, more than the limit of 16777216"):
         weight_shapes(record([widest] * 8, encoder=(2048,) * 8, decoder=(2048,) * 8))

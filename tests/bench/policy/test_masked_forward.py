@@ -1,4 +1,4 @@
-"""F(m): the batched path, PyG's message passing and the formula written out are one function."""
+"""F(m): the batched path, PyG's message passing and the written-out formula agree."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_batched_path_equals_pyg_forward(residual: bool) -> None:
 
 
 @with_and_without_residual
-def test_masked_path_equals_pyg_with_an_edge_mask_loops_included(residual: bool) -> None:
+def test_masked_path_equals_pyg_with_an_edge_mask_including_loops(residual: bool) -> None:
     policy = small_policy(6, 2, residual=residual)
     observations, masks = random_observations(8, 4, 6), random_masks(8, 4)
     model = copy.deepcopy(policy)
@@ -75,7 +75,7 @@ def test_masked_path_equals_pyg_with_an_edge_mask_loops_included(residual: bool)
 
 
 @with_and_without_residual
-def test_row_i_of_the_mask_is_about_receiver_i(residual: bool) -> None:
+def test_row_i_of_the_mask_changes_only_receiver_i(residual: bool) -> None:
     policy = small_policy(6, 3, residual=residual)
     observations = random_observations(1, 4, 6)
     mask = torch.ones(1, 4, 4)
@@ -89,7 +89,7 @@ def test_row_i_of_the_mask_is_about_receiver_i(residual: bool) -> None:
 
 @with_and_without_residual
 @pytest.mark.parametrize("edge", [(0, 0), (2, 2), (0, 1), (2, 0)])
-def test_every_edge_carries_its_message_the_own_one_too(edge: tuple[int, int], residual: bool) -> None:
+def test_every_edge_carries_its_message_including_the_own_edge(edge: tuple[int, int], residual: bool) -> None:
     policy = small_policy(5, 4, residual=residual)
     observations = random_observations(1, 3, 5)
     mask = torch.ones(1, 3, 3)
@@ -116,7 +116,7 @@ def test_permuting_agents_permutes_actions(residual: bool) -> None:
 
 
 @with_and_without_residual
-def test_a_mask_of_ones_is_no_mask_to_the_bit(residual: bool) -> None:
+def test_a_mask_of_ones_equals_no_mask_bit_for_bit(residual: bool) -> None:
     policy = small_policy(6, 6, residual=residual)
     observations = random_observations(40, 3, 6)
     with torch.no_grad():
@@ -150,7 +150,7 @@ def test_the_generic_path_equals_the_fast_path(
 
 
 @pytest.mark.parametrize("make", [one_layer, two_layers, transformers])
-def test_a_batch_is_pyg_one_graph_at_a_time(make: Callable[[int], ModulePolicy]) -> None:
+def test_a_batch_equals_pyg_one_graph_at_a_time(make: Callable[[int], ModulePolicy]) -> None:
     policy = make(6)
     observations, masks = random_observations(4, 3, 6), random_masks(4, 3)
     with torch.no_grad():
@@ -177,7 +177,7 @@ def test_gradients_of_a_batch_are_uncoupled(make: Callable[[int], ModulePolicy])
     assert bool((gradient[[0, 2]] == 0).all())
 
 
-def test_no_mask_touches_the_residual() -> None:
+def test_masks_do_not_change_the_residual() -> None:
     """With every message masked, the decoder gets R x_i + b: a linear map of the agent's own encoding."""
     policy, observations = small_policy(6, 7, residual=True), random_observations(5, 4, 6)
     encoded = policy.encoder(observations)
@@ -185,13 +185,13 @@ def test_no_mask_touches_the_residual() -> None:
     with torch.no_grad():
         nothing = policy.distribution(observations, torch.zeros(5, 4, 4))
         torch.testing.assert_close(nothing.loc, policy.head(own, own[..., :0])[0].loc, rtol=0, atol=ROUNDING)
-        # Without a residual every agent gets b alone, and all act alike.
+        # Without a residual every agent gets only b, and all act alike.
         plain = small_policy(6, 7).distribution(observations, torch.zeros(5, 4, 4)).loc
     assert (nothing.loc[:, 0] - nothing.loc[:, 1]).abs().max() > 1e-2
     torch.testing.assert_close(plain, plain[:1, :1].expand_as(plain), rtol=0, atol=ROUNDING)
 
 
-def test_rows_act_alone_in_one_layer_only() -> None:
+def test_rows_are_independent_only_in_one_layer() -> None:
     observations = random_observations(2, 4, 6)
     for policy, row_wise in (
         (small_policy(6), True),
@@ -209,7 +209,7 @@ def test_rows_act_alone_in_one_layer_only() -> None:
         )
 
 
-def test_a_layer_that_runs_twice_is_two_layers() -> None:
+def test_a_layer_that_runs_twice_counts_as_two_layers() -> None:
     class Twice(nn.Module):
         def __init__(self) -> None:
             super().__init__()
@@ -222,7 +222,7 @@ def test_a_layer_that_runs_twice_is_two_layers() -> None:
     assert not ModulePolicy(Twice(), 4).row_wise
 
 
-def test_the_generic_path_leaves_no_trace_and_travels() -> None:
+def test_the_generic_path_leaves_no_hooks_and_can_be_pickled() -> None:
     policy, observations = two_layers(6), random_observations(2, 3, 6)
     with torch.no_grad():
         before = policy(observations[0], complete_graph(3))
@@ -239,7 +239,7 @@ def test_the_generic_path_leaves_no_trace_and_travels() -> None:
             assert not module._propagate_forward_hooks
 
 
-def test_a_policy_without_attention_says_so() -> None:
+def test_attention_of_a_policy_without_attention_raises() -> None:
     class Mean(nn.Module):
         def __init__(self) -> None:
             super().__init__()

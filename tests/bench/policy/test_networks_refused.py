@@ -1,4 +1,4 @@
-"""Networks that no mask can explain: each is refused when opened, by one sentence that names the cause."""
+"""Networks that masks cannot explain are refused when opened, by one sentence that names the cause."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def opened(network: nn.Module, *, n_agents: int = N, **options: Any) -> Policy:
 
 
 class Network(nn.Module):
-    """GATv2, and around it whatever a test is about."""
+    """GATv2 with a fault around it."""
 
     def __init__(
         self,
@@ -60,12 +60,12 @@ def teams(x: Tensor) -> Tensor:
 
 
 def next_agent(x: Tensor) -> Tensor:
-    """Each row is what the agent before it in the team observes."""
+    """Rows shifted by one agent within the team."""
     return teams(x).roll(1, dims=1).reshape(x.shape)
 
 
 def team_attention(x: Tensor) -> Tensor:
-    """Of every row to the rows of its team, without messages."""
+    """Attention of every row to the rows of its team, without messages."""
     team = teams(x)
     return (torch.softmax(team @ team.mT, dim=-1) @ team).reshape(x.shape)
 
@@ -76,7 +76,7 @@ def dense_beside(network: Network, x: Tensor, edge_index: Tensor) -> Tensor:
 
 
 def sums_beside(network: Network, x: Tensor, edge_index: Tensor) -> Tensor:
-    """What is summed along edges by hand is no message of a layer."""
+    """Sums along edges outside of any layer."""
     sender, receiver = edge_index
     out: Tensor = network.layer(x, edge_index)
     return out + torch.zeros(len(x), 4).index_add(0, receiver, x[sender, :4])
@@ -111,7 +111,7 @@ def by_receiver(edges: Tensor, n: int) -> EdgeIndex:
 
 
 class Shuffles(MessagePassing):  # type: ignore[misc]
-    """Hands to each agent what another one received, on edges of its own: no graph of loops alone."""
+    """Gives each agent the messages of another one, on its own edges, so it has no graph of loops."""
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
         team = torch.arange(0, len(x), N)[:, None]
@@ -238,8 +238,8 @@ def test_edges_turned_round_are_refused_where_not_all_go_both_ways() -> None:
         opened(turned, graph=FixedGraph(n_agents=N, edges=((0, 1), (1, 2))))
 
 
-def test_what_only_shows_while_scoring_is_refused_then() -> None:
-    """A network that drops edges where nothing random leads when it is opened."""
+def test_a_fault_that_appears_only_while_scoring_is_refused_then() -> None:
+    """The network drops edges on states that the random tests on opening do not reach."""
     network = OneLayer(lambda edges, n: edges)
     policy = opened(network)
     network.rewire = lambda edges, n: edges[:, :-1]
@@ -247,8 +247,8 @@ def test_what_only_shows_while_scoring_is_refused_then() -> None:
         policy.distribution(random_observations(2, N, 6))
 
 
-def test_bundles_are_tried_when_they_are_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No bundle can bring such a network: the error would be ours, so it is made here."""
+def test_bundles_are_tested_when_they_are_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No bundle contains such a network, so the fault is patched into ours."""
     card: dict[str, Any] = {"task": "blind_navigation_v0", "n_agents": 4, "attention_entropy": 0.0}
     save_policy(tmp_path, small_policy(6), name="mine", **card)
     load_policy(tmp_path)

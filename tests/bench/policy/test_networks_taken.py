@@ -1,4 +1,4 @@
-"""Networks that come in as code: each is masked as a dense computation without torch_geometric says."""
+"""Networks given as code: masks have the same effect as in a dense computation without torch_geometric."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def edges_of(policy: Policy, observations: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("relative", [False, True], ids=["no edge features", "where the sender is"])
 @pytest.mark.parametrize("graph", GRAPHS.values(), ids=GRAPHS)
-def test_attention_on_every_graph(graph: Any, relative: bool) -> None:
+def test_attention_equals_the_dense_computation_on_every_graph(graph: Any, relative: bool) -> None:
     network = OneLayer(relative=relative)
     policy = opened(network, n_agents=N, graph=graph)
     observations, masks = states()
@@ -62,7 +62,7 @@ def test_attention_on_every_graph(graph: Any, relative: bool) -> None:
     assert policy.row_wise
 
 
-def test_edge_features_matter() -> None:
+def test_edge_features_change_the_action() -> None:
     x, there, mask = random_observations(1, N, 6)[0], torch.ones(N, N, dtype=torch.bool), torch.ones(N, N)
     network = OneLayer(relative=True)
     with_features = dense_location(network, x, there, mask)
@@ -76,13 +76,13 @@ def graph_conv(layer: Any, x: Tensor, mask: Tensor) -> Tensor:
 
 
 def sage(layer: Any, x: Tensor, mask: Tensor) -> Tensor:
-    """On the complete graph: the mean is over all N."""
+    """On the complete graph, where the mean is over all N."""
     out: Tensor = layer.lin_l(mask @ x / N) + layer.lin_r(x)
     return out
 
 
 def gcn(layer: Any, x: Tensor, mask: Tensor) -> Tensor:
-    """On the complete graph with loops every degree is N."""
+    """On the complete graph with loops, where every degree is N."""
     out: Tensor = mask @ layer.lin(x) / N + layer.bias
     return out
 
@@ -102,7 +102,9 @@ LAYERS: dict[str, tuple[Callable[[], nn.Module], Dense]] = {
 
 
 @pytest.mark.parametrize(("make", "dense"), LAYERS.values(), ids=LAYERS)
-def test_layers_without_attention(make: Callable[[], nn.Module], dense: Dense) -> None:
+def test_layers_without_attention_equal_the_dense_computation(
+    make: Callable[[], nn.Module], dense: Dense
+) -> None:
     layer = seeded(make)
     policy = opened(layer, n_agents=N)
     observations, masks = states()
@@ -126,7 +128,7 @@ class TwoGraphConvs(nn.Module):
 
 
 @pytest.mark.parametrize("graph", GRAPHS.values(), ids=GRAPHS)
-def test_two_layers_on_every_graph(graph: Any) -> None:
+def test_two_layers_equal_the_dense_computation_on_every_graph(graph: Any) -> None:
     network: Any = seeded(TwoGraphConvs)
     policy = opened(network, n_agents=N, graph=graph)
     observations, masks = states()
@@ -141,7 +143,7 @@ def test_two_layers_on_every_graph(graph: Any) -> None:
 
 
 class Relative(nn.Module):
-    """TransformerConv with edge features: where the sender is, seen from the receiver."""
+    """TransformerConv whose edge features are the sender's offset from the receiver."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -153,7 +155,7 @@ class Relative(nn.Module):
         return out
 
 
-def test_edge_features_that_are_part_of_the_message() -> None:
+def test_edge_features_in_the_message_are_masked_with_it() -> None:
     network: Any = seeded(Relative)
     policy, layer = opened(network, n_agents=N), network.layer
     observations, masks = states()
@@ -169,7 +171,7 @@ def test_edge_features_that_are_part_of_the_message() -> None:
 
 
 class Custom(MessagePassing):  # type: ignore[misc]
-    """An attention of one's own, whose coefficients are the argument `alpha` of its messages."""
+    """A custom attention whose coefficients are the argument `alpha` of its messages."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -190,7 +192,7 @@ class Custom(MessagePassing):  # type: ignore[misc]
 
 
 class Returning(Custom):
-    """The same, which tells its coefficients where they are asked for; its messages have another name."""
+    """The same, but returns its coefficients on request; `message` has no `alpha`."""
 
     def forward(self, x: Tensor, edge_index: Tensor, return_attention_weights: bool | None = None) -> Any:
         edge_index = edge_index.flip(1)
@@ -204,7 +206,7 @@ class Returning(Custom):
 
 @pytest.mark.parametrize("make", [Custom, Returning])
 @pytest.mark.parametrize("graph", GRAPHS.values(), ids=GRAPHS)
-def test_an_attention_of_ones_own(graph: Any, make: Callable[[], nn.Module]) -> None:
+def test_a_custom_attention_is_found_and_masked(graph: Any, make: Callable[[], nn.Module]) -> None:
     layer: Any = seeded(make)
     policy = opened(layer, n_agents=N, graph=graph)
     observations, masks = states()
@@ -220,8 +222,8 @@ def test_an_attention_of_ones_own(graph: Any, make: Callable[[], nn.Module]) -> 
             torch.testing.assert_close(attention[s], alpha, rtol=1e-4, atol=1e-5)
 
 
-def test_a_model_of_torch_geometric_with_its_defaults() -> None:
-    """GAT adds loops of its own in every layer, to a graph that has them already."""
+def test_a_model_of_torch_geometric_with_its_defaults_is_accepted() -> None:
+    """GAT adds loops in every layer to a graph that already has them."""
     policy = opened(seeded(lambda: GAT(6, 8, 2, 4, heads=2)), n_agents=N)
     observations, _ = states()
     mask = torch.zeros(6, N, N)

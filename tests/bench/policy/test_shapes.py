@@ -1,4 +1,4 @@
-"""Shapes by arithmetic are those of the networks that torch builds."""
+"""Shapes computed by arithmetic equal those of the networks that torch builds."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_layers(
 
 
 @pytest.mark.slow
-def test_torch_is_not_waited_for() -> None:
+def test_shapes_do_not_import_torch() -> None:
     code = (
         "import sys, xmarl_bench.policy.bundle;"
         "assert not {'torch', 'torch_geometric', 'scipy'} & sys.modules.keys()"

@@ -1,4 +1,4 @@
-"""JSON of strangers: what is ambiguous, not finite, too large or too deep is refused in a clause."""
+"""JSON from third parties: ambiguous, non-finite, too large or too deep values are refused with a reason."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from xmarl_bench.records.strict_json import MAX_VALUES, parse_json, shown
 
 
-def test_what_json_is() -> None:
+def test_valid_json_is_parsed() -> None:
     assert parse_json(b'{"a": [1, -2.5e3, true, null, "\\u00e9"], "b": {}}') == {
         "a": [1, -2500.0, True, None, "\u00e9"],
         "b": {},
@@ -36,7 +36,7 @@ def test_what_json_is() -> None:
         (b'"' + b"x" * (16 * 2**20) + b'"', "bytes, more than the limit of 16777216"),
     ],
 )
-def test_what_it_is_not(data: bytes, said: str) -> None:
+def test_invalid_json_is_refused(data: bytes, said: str) -> None:
     started = time.process_time()
     with pytest.raises(ValueError, match=said) as caught:
         parse_json(data)
@@ -45,7 +45,7 @@ def test_what_it_is_not(data: bytes, said: str) -> None:
     assert not str(caught.value).endswith(".")
 
 
-def test_a_stranger_s_words_are_shown_as_literals() -> None:
+def test_names_in_errors_are_shown_as_literals() -> None:
     assert shown("two\nlines \x1b[31m\u202e") == "'two\\nlines \\x1b[31m\\u202e'"
     assert shown(3) == "3"
     assert shown(ValueError("no")) == "'no'"

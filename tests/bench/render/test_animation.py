@@ -1,4 +1,4 @@
-"""Files of `xmarl-bench render`: readable by others, of the promised size, whole or not there."""
+"""Files of `xmarl-bench render` are readable, of the promised size, and written atomically."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def expected(recording: Recording, cycle: int) -> Picture:
 
 
 def wrong(one: Picture, other: Picture) -> float:
-    """Fraction of pixels that are clearly another colour, not just nearly this one."""
+    """Fraction of pixels with a clearly different colour."""
     return float((np.abs(one.astype(np.float64) - other).max(axis=-1) > 40).mean())
 
 
@@ -67,9 +67,7 @@ def test_a_gif_shows_the_episode_at_twice_real_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_long_episodes_show_every_so_many_steps_in_a_gif(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_gif_of_a_long_episode_skips_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(animation, "GIF_FRAMES", 10)
     written = write_animation(recorded(30), tmp_path / "a.gif")
     with Image.open(tmp_path / "a.gif") as gif:
@@ -79,9 +77,7 @@ def test_long_episodes_show_every_so_many_steps_in_a_gif(
 
 
 @pytest.mark.slow
-def test_busy_episodes_lose_frames_until_the_gif_is_small(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_large_gif_drops_frames_until_it_is_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = write_animation(recorded(30, 16), tmp_path / "whole.gif")
     assert whole.n_bytes <= GIF_BYTES
     limit = whole.n_bytes // 2
@@ -91,7 +87,7 @@ def test_busy_episodes_lose_frames_until_the_gif_is_small(
     with Image.open(tmp_path / "a.gif") as gif:
         shown = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
     assert 2 < len(shown) == written.frames < whole.frames == 31
-    assert sum(shown) == 30 * 1000 / FPS + LAST_FRAME  # as long as before
+    assert sum(shown) == 30 * 1000 / FPS + LAST_FRAME  # the same duration
 
 
 @pytest.mark.slow
@@ -147,7 +143,7 @@ def test_an_avif_is_small_and_shows_few_frames(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["gif", "avif", pytest.param("mp4", marks=pytest.mark.slow), "png"])
-def test_an_episode_of_one_step(suffix: str, tmp_path: Path) -> None:
+def test_an_episode_of_one_step_is_drawn(suffix: str, tmp_path: Path) -> None:
     assert write_animation(recorded(1), tmp_path / f"a.{suffix}").frames == 2
 
 
@@ -171,7 +167,7 @@ def test_the_explanation_is_drawn_over_all_but_the_last_picture(
 
 
 @pytest.mark.slow
-def test_the_same_bytes_again(tmp_path: Path) -> None:
+def test_the_same_episode_gives_the_same_bytes(tmp_path: Path) -> None:
     for suffix in ("gif", "png"):
         paths = [tmp_path / f"{k}.{suffix}" for k in range(2)]
         for path in paths:
@@ -222,7 +218,7 @@ def test_without_a_policy_the_heuristic_plays(run_cli: RunCli, tmp_path: Path) -
         (["--policy", "BUNDLE", "--out", "."], ["let its name end"]),
     ],
 )
-def test_bad_options(
+def test_invalid_options_are_refused(
     arguments: list[str], said: list[str], run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path
 ) -> None:
     bundle = make_bundle()
@@ -236,7 +232,7 @@ def test_bad_options(
     assert not out.exists()
 
 
-def test_what_cannot_be_written_is_refused_before_anything_is_played(
+def test_an_unwritable_file_is_refused_before_anything_is_played(
     run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "folder.gif").mkdir()
@@ -252,7 +248,7 @@ def test_what_cannot_be_written_is_refused_before_anything_is_played(
     assert "pip install 'xmarl-bench[video]'" in ran.err
 
 
-def test_an_explainer_that_fails_leaves_the_old_file(
+def test_a_failing_explainer_leaves_the_old_file(
     run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "a.gif"

@@ -1,4 +1,4 @@
-"""Animations of entries: drawn once, of what was scored, and gone with their entry."""
+"""Animations of entries are drawn once, show what was scored, and are removed with their entry."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def test_animations_are_drawn_once_and_shown(board: Path, run_cli: RunCli) -> No
     assert [line for line in draw_missing(board) if "no animation" not in line] == []
     page = data.read_bytes()
     path.unlink()
-    assert len(check_board(board)) > 0  # the page shows one that is gone
+    assert len(check_board(board)) > 0  # the page still shows the removed one
     build_board(board)
     assert next((board / "pages").glob("board-*.js")).read_bytes() != page
 
 
 @pytest.mark.slow
-def test_an_animation_goes_with_its_entry(board: Path) -> None:
+def test_an_animation_is_removed_with_its_entry(board: Path) -> None:
     list(draw_missing(board))
     build_board(board)
     (animation_file,) = (board / "animations").iterdir()
@@ -64,7 +64,7 @@ def test_an_animation_goes_with_its_entry(board: Path) -> None:
     assert not animation_file.exists()
 
 
-def test_other_weights_are_not_shown_as_those_scored(
+def test_no_animation_is_drawn_if_the_installed_weights_differ(
     board: Path, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     install(monkeypatch, small=make_bundle(name="again", seed=1))

@@ -1,4 +1,4 @@
-"""What is drawn is what was scored: the same episode, and the same masks."""
+"""Recordings have the same episode and masks as scores."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from xmarl_bench.rollout.episodes import roll_out
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_the_episode_is_the_one_that_is_scored(name: str, make_bundle: MakeBundle) -> None:
+def test_the_episode_equals_the_scored_one(name: str, make_bundle: MakeBundle) -> None:
     policy, _ = load_policy(make_bundle(name))
     task = make_task(name, 3)
     recording = record(task, "small", policy, seed=7, episode=2, max_cycles=20)
@@ -32,7 +32,7 @@ def test_the_episode_is_the_one_that_is_scored(name: str, make_bundle: MakeBundl
     assert recording.success_rate == scored.success_rate
 
 
-def test_masks_are_those_that_are_scored(make_bundle: MakeBundle) -> None:
+def test_masks_equal_the_scored_ones(make_bundle: MakeBundle) -> None:
     policy, _ = load_policy(make_bundle())
     recording = record(make_task("blind_navigation_v0", 3), "small", policy, seed=7, episode=1, max_cycles=9)
     random = CONTROLS["random"]
@@ -44,7 +44,7 @@ def test_masks_are_those_that_are_scored(make_bundle: MakeBundle) -> None:
 
 
 @pytest.mark.parametrize("team", ["heuristic", "random"])
-def test_teams_without_a_policy(team: str) -> None:
+def test_teams_without_a_policy_are_recorded(team: str) -> None:
     first, again, other = (
         record(make_task("blind_passage_v0", 5), team, episode=episode, max_cycles=12)
         for episode in (0, 0, 1)
@@ -55,7 +55,7 @@ def test_teams_without_a_policy(team: str) -> None:
         first.explain(CONTROLS["random"], [0])
 
 
-def test_the_heuristic_gets_further_than_chance() -> None:
+def test_the_heuristic_does_better_than_random_actions() -> None:
     heuristic, random = (
         record(make_task("blind_navigation_v0", 3), team) for team in ("heuristic", "random")
     )
@@ -73,7 +73,7 @@ def test_the_heuristic_gets_further_than_chance() -> None:
         ({"max_cycles": 0}, "max_cycles must be at least 1, got 0"),
     ],
 )
-def test_bad_input(options: dict[str, int], said: str) -> None:
+def test_invalid_input_is_refused(options: dict[str, int], said: str) -> None:
     with pytest.raises(InputError, match=said):
         record(make_task("blind_navigation_v0", 3), "random", None, **options)
     with pytest.raises(InputError, match="team 'nobody' has no policy"):

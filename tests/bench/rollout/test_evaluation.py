@@ -1,4 +1,4 @@
-"""Task performance with and without messages, the same whatever the number of processes."""
+"""Task performance with and without messages, equal for any number of processes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.rollout.evaluation import Performance, evaluate, evaluate_policy
 
 
-def test_means_are_those_of_the_episodes() -> None:
+def test_performance_is_the_mean_over_episodes() -> None:
     policy, sampling = small_policy(8), Sampling(episodes=3, max_cycles=15)
     (performance,) = evaluate([(policy, Cell("blind_passage_v0", 3))], sampling)
     task = make_task("blind_passage_v0", 3)
@@ -33,7 +33,7 @@ def test_means_are_those_of_the_episodes() -> None:
 
 
 @pytest.mark.parametrize(("low", "helps"), [(-0.1, False), (0.0, False), (0.01, True)])
-def test_messages_help_where_the_interval_excludes_zero(low: float, helps: bool) -> None:
+def test_messages_help_if_the_interval_excludes_zero(low: float, helps: bool) -> None:
     gain = {
         "success_rate": {"value": 0.2, "low": low, "high": 0.4},
         "reward": {"value": 0.0, "low": -1.0, "high": 1.0},
@@ -42,7 +42,7 @@ def test_messages_help_where_the_interval_excludes_zero(low: float, helps: bool)
     assert performance.messages_help is helps
 
 
-def test_parallel_episodes_change_nothing() -> None:
+def test_parallel_episodes_do_not_change_the_result() -> None:
     pairs = [
         (small_policy(6), Cell("blind_navigation_v0", 3)),
         (small_policy(5), Cell("blind_discovery_v0", 4)),
@@ -59,10 +59,10 @@ def test_the_record_fits_a_policy_card(monkeypatch: pytest.MonkeyPatch) -> None:
     assert record["with_messages"]["no_object_collision"] is None
 
 
-def test_a_policy_that_hears_nobody_performs_the_same() -> None:
+def test_a_policy_whose_messages_are_zero_performs_the_same_without_them() -> None:
     policy: GraphPolicy = small_policy(6)
     with torch.no_grad():
-        policy.gat.lin_l.weight.zero_()  # every message is the same constant
+        policy.gat.lin_l.weight.zero_()  # every message is zero
         policy.gat.lin_l.bias.zero_()
     (performance,) = evaluate([(policy, Cell("blind_navigation_v0", 3))], Sampling(episodes=2, max_cycles=5))
     assert performance.with_messages == performance.without_messages

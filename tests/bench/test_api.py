@@ -1,5 +1,4 @@
-"""The public API is what it says, loads lazily, and names nothing of the baselines. The arrow of imports
-is in tests/test_imports.py."""
+"""The public API is complete, loads lazily, and names nothing of the baselines."""
 
 from __future__ import annotations
 
@@ -18,14 +17,14 @@ def test_the_harness_names_no_explainer_or_policy_of_the_baselines() -> None:
     for file in PACKAGE.rglob("*"):
         if file.suffix in (".py", ".jinja"):
             text = file.read_text()
-            # The paper's studies are of explainers that it names; they find them as anybody's are found.
+            # The paper's studies name their explainers, and find them through the registry.
             explainers = () if file.is_relative_to(PACKAGE / "papers") else ("gnn_explainer", "graphmask-pyg")
             for name in ("xmarl_baselines", *explainers):
                 assert name not in text, f"{file} names {name}"
 
 
 @pytest.mark.slow
-def test_the_public_api_is_there_and_lazy() -> None:
+def test_the_public_api_is_complete_and_lazy() -> None:
     for name in xmarl_bench.__all__:
         assert getattr(xmarl_bench, name) is not None
     with pytest.raises(AttributeError, match="no_such_thing"):

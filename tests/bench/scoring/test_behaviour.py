@@ -1,4 +1,4 @@
-"""The team rolled out on an explanation and on its complement."""
+"""Episodes played on an explanation and on its complement."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def play(
 def test_top_messages_by_hand() -> None:
     mask = np.array([[[0.9, 0.1, 0.2], [0.5, 0.0, 0.4], [0.3, 0.3, 1.0]]])
     tie = np.zeros((1, 3, 3))
-    tie[0, 2] = [0.2, 0.1, 0.0]  # between equals the smaller noise wins
+    tie[0, 2] = [0.2, 0.1, 0.0]  # among equal values the smaller noise wins
     assert top_messages(mask, tie, 1).tolist() == [[[0, 0, 1], [1, 0, 0], [0, 1, 0]]]
 
 
 @pytest.mark.parametrize(("n_agents", "k"), [(3, 1), (4, 1), (5, 2), (8, 3)])
-def test_half_of_the_others_are_kept(n_agents: int, k: int) -> None:
+def test_half_of_the_other_messages_are_kept(n_agents: int, k: int) -> None:
     assert kept_messages(n_agents) == k
     rng = np.random.default_rng(0)
     top = top_messages(rng.random((5, n_agents, n_agents)), rng.random((5, n_agents, n_agents)), k)
@@ -58,8 +58,8 @@ def test_half_of_the_others_are_kept(n_agents: int, k: int) -> None:
 
 
 @pytest.mark.slow
-def test_teams_hear_only_what_they_are_left_with() -> None:
-    """A constant explanation is a constant mask, and that is a rollout of its own."""
+def test_teams_hear_only_the_kept_messages() -> None:
+    """A constant explanation is a constant mask, so the episode equals a rollout under that mask."""
     ranks = torch.tensor(
         [[0.0, 0.9, 0.1, 0.2], [0.9, 0.0, 0.1, 0.2], [0.1, 0.9, 0.0, 0.2], [0.1, 0.2, 0.9, 0.0]]
     )
@@ -74,7 +74,7 @@ def test_teams_hear_only_what_they_are_left_with() -> None:
     assert play(fixed, seeds, max_cycles=30) != play(None, seeds, max_cycles=30)
 
 
-def test_the_explainer_is_asked_about_the_states_of_its_own_team() -> None:
+def test_the_explainer_gets_the_states_of_its_own_team() -> None:
     seen: list[Tensor] = []
 
     def watch(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
@@ -83,15 +83,15 @@ def test_the_explainer_is_asked_about_the_states_of_its_own_team() -> None:
 
     play(Explainer("watch", watch), (1, 2), max_cycles=9)
     assert len(seen) == 9
-    assert {tuple(each.shape) for each in seen} == {(2 * BLOCK, 4, 6)}  # whoever is playing
+    assert {tuple(each.shape) for each in seen} == {(2 * BLOCK, 4, 6)}  # for any number of live episodes
     first, last = seen[0], seen[-1]
-    assert torch.equal(first[:2], first[BLOCK : BLOCK + 2])  # both teams start alike
-    assert not torch.equal(last[:2], last[BLOCK : BLOCK + 2])  # and part
-    assert torch.equal(last[2:BLOCK], last[:1].expand(BLOCK - 2, -1, -1))  # filled up
+    assert torch.equal(first[:2], first[BLOCK : BLOCK + 2])  # both teams start in the same state
+    assert not torch.equal(last[:2], last[BLOCK : BLOCK + 2])  # and then differ
+    assert torch.equal(last[2:BLOCK], last[:1].expand(BLOCK - 2, -1, -1))  # padding
 
 
 @pytest.mark.parametrize("explainer", [NEAREST, NOISY, None])
-def test_an_episode_depends_on_none_that_is_played_beside_it(explainer: Explainer | None) -> None:
+def test_an_episode_does_not_depend_on_the_others_of_its_batch(explainer: Explainer | None) -> None:
     whole, part = play(explainer, (1, 2, 3)), play(explainer, (1, 2))
     assert whole.rows[:2] == part.rows
     assert whole.rows == play(explainer, (1, 2, 3)).rows
@@ -112,7 +112,7 @@ def test_an_explainer_that_fails_is_named(name: str) -> None:
     assert repr(name) in str(result)
 
 
-def test_a_team_that_hears_nothing_of_use_does_as_well_on_either_half() -> None:
+def test_a_team_with_zero_messages_does_equally_well_on_both_halves() -> None:
     policy = small_policy(6)
     with torch.no_grad():
         policy.gat.lin_l.weight.zero_()  # every message is zero
@@ -120,6 +120,6 @@ def test_a_team_that_hears_nothing_of_use_does_as_well_on_either_half() -> None:
     result = BehaviourBlock(policy, NEAREST, TASK, 3, (1, 2), 0, 20).run()
     assert isinstance(result, Played)
     for row, metric in product(result.rows, ("success", "reward")):
-        # Rounding by the place in the batch is all that is left.
+        # Only the rounding depends on the place in the batch.
         kept, dropped = getattr(row, f"{metric}_on_explanation"), getattr(row, f"{metric}_on_complement")
         assert kept == pytest.approx(dropped, abs=1e-6)

@@ -1,4 +1,4 @@
-"""Pieces are found again, whole or not at all."""
+"""Pieces are read from the cache complete or not at all."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KEY = "ab" + "0" * 62
 
 
 @given(value=st.binary(max_size=200))
-def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, value: bytes) -> None:
+def test_written_pieces_are_read_unchanged(tmp_path_factory: pytest.TempPathFactory, value: bytes) -> None:
     cache = Cache(tmp_path_factory.mktemp("cache"))
     assert cache.read(KEY) is None
     assert not cache.has(KEY)
@@ -46,7 +46,7 @@ def test_a_file_cut_short_or_changed_counts_as_missing(
     assert not cache.has(KEY)
 
 
-def test_an_error_is_kept_until_the_work_succeeds(tmp_path: Path) -> None:
+def test_an_error_is_kept_until_its_piece_succeeds(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     assert cache.failure(KEY) is None
     cache.fail(KEY, "out of memory")
@@ -72,7 +72,7 @@ def test_a_prepared_folder_is_a_cache_that_git_ignores(tmp_path: Path) -> None:
     assert seen.stdout == ""
 
 
-def test_leftovers_of_dead_processes_go_and_those_of_others_stay(tmp_path: Path) -> None:
+def test_temporary_files_of_dead_processes_are_deleted_and_others_kept(tmp_path: Path) -> None:
     dead = subprocess.run(
         [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True
     )
@@ -89,7 +89,7 @@ def test_leftovers_of_dead_processes_go_and_those_of_others_stay(tmp_path: Path)
     assert {path.name for path in tmp_path.iterdir()} == {name for name, stays in names.items() if stays}
 
 
-def test_the_temporary_file_of_a_killed_writer_is_one_of_them(tmp_path: Path) -> None:
+def test_the_temporary_file_of_a_killed_writer_is_deleted(tmp_path: Path) -> None:
     code = (
         "import os, signal, sys; from pathlib import Path; import xmarl_bench.records.files as files\n"
         "def die(*_): os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -104,7 +104,7 @@ def test_the_temporary_file_of_a_killed_writer_is_one_of_them(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_two_runs_do_not_write_into_one_folder(tmp_path: Path) -> None:
+def test_two_runs_cannot_write_into_one_folder(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from xmarl_bench.records.files import locked\n"
         "from xmarl_bench.errors import InputError\n"
@@ -119,7 +119,7 @@ def test_two_runs_do_not_write_into_one_folder(tmp_path: Path) -> None:
     with locked(tmp_path):
         assert f"another run is writing to {tmp_path}" in other()
     assert other() == "free\n"
-    assert not list(tmp_path.iterdir())  # nor is a lock left
+    assert not list(tmp_path.iterdir())  # no lock file is left
 
 
 def test_a_lock_ends_with_the_process_that_held_it(tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_a_lock_ends_with_the_process_that_held_it(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_larger_than_the_disk_gives_is_one_sentence_and_nothing_is_lost(tmp_path: Path) -> None:
+def test_a_full_disk_gives_one_sentence_and_keeps_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     write_atomically(path, b"old")
     with (
@@ -145,7 +145,7 @@ def test_a_file_larger_than_the_disk_gives_is_one_sentence_and_nothing_is_lost(t
     assert [each.name for each in tmp_path.iterdir()] == ["a.json"]
 
 
-def test_a_folder_that_is_a_file_is_one_sentence(tmp_path: Path) -> None:
+def test_a_file_in_place_of_a_folder_gives_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         write_atomically(tmp_path / "file" / "a.json", b"")

@@ -1,4 +1,4 @@
-"""What goes wrong around a sweep is one sentence, and nothing that was there is lost."""
+"""Failures around a sweep give one sentence, and existing files are kept."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ def assert_refused(ran: Ran, said: str) -> None:
 
 
 @pytest.mark.slow
-def test_two_sweeps_into_one_folder(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
+def test_a_second_sweep_into_one_folder_is_refused(
+    run_cli: RunCli, make_bundle: MakeBundle, out: Path
+) -> None:
     with locked(out):
         assert_refused(score(run_cli, make_bundle(), out), f"another run is writing to {out}")
     assert score(run_cli, make_bundle(), out).code == 0
@@ -39,8 +41,10 @@ def test_two_sweeps_into_one_folder(run_cli: RunCli, make_bundle: MakeBundle, ou
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [100, 6_000])  # not even a result, and not an entry
-def test_a_full_disk(size: int, run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [100, 6_000])  # too small for a result, too small for an entry
+def test_a_full_disk_gives_one_sentence_and_keeps_entries(
+    size: int, run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path
+) -> None:
     folder = make_bundle()
     assert score(run_cli, folder, out).code == 0
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
@@ -52,14 +56,14 @@ def test_a_full_disk(size: int, run_cli: RunCli, make_bundle: MakeBundle, out: P
     assert (out / "leaderboard.json").read_bytes() == before[out / "leaderboard.json"]
 
 
-def test_an_entry_that_has_vanished(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
+def test_an_entry_that_cannot_be_read_is_named(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
     (out / "entries").mkdir(parents=True)
     (out / "entries" / "gone.json").symlink_to(out / "nowhere.json")
     assert_refused(score(run_cli, make_bundle(), out), "gone.json cannot be read (No such file or directory)")
     assert [path.name for path in (out / "entries").iterdir()] == ["gone.json"]
 
 
-def test_a_cache_that_cannot_be_written(
+def test_a_cache_that_cannot_be_written_is_refused(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -82,12 +86,12 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
         result.unlink()
     (row,) = json.loads(run_cli("status", "--json").out)
     assert row["pieces"] == [0, 6]
-    assert row["explainers"] == {"attention": [0, 2]}  # explained, and acted on
+    assert row["explainers"] == {"attention": [0, 2]}  # explaining, and playing on it
     assert_refused(run_cli("status", out / "elsewhere"), "no run is known")
 
 
 @pytest.mark.slow
-def test_a_cache_is_seen_and_emptied(
+def test_cache_shows_and_clears_the_cache(
     run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path
 ) -> None:
     cache = tmp_path / "cache"
@@ -105,7 +109,7 @@ def test_a_cache_is_seen_and_emptied(
     assert [path.name for path in cache.iterdir()] == ["mine.txt"]
     (out / "ab").mkdir()
     assert run_cli("cache", "clear", "--cache", out).code == 0
-    assert (out / "ab").exists()  # no cache, whatever its folders are called
+    assert (out / "ab").exists()  # not a cache, despite the names of its folders
 
 
 @pytest.mark.slow
@@ -129,4 +133,4 @@ def test_a_module_beside_an_explainers_file_is_read_again(
         fid_plus.append(entry.results[0].metrics.fid_plus)
         pieces = json.loads(run_cli("cache", "--json").out)["pieces"]
     assert fid_plus[0] == fid_plus[2] != fid_plus[1]
-    assert pieces == 5  # played twice, shared, and explained in two ways
+    assert pieces == 5  # two rollouts, shared measures, and two versions of the explainer

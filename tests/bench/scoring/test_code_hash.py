@@ -1,4 +1,4 @@
-"""Own code has another hash where it would give another result, and the same one in each process."""
+"""The hash of own code differs if its result would differ, and is the same in every process."""
 
 from __future__ import annotations
 
@@ -72,11 +72,11 @@ def differ_by_themselves(make: Callable[[float], object]) -> None:
     ],
     ids=["closure", "partial", "lambda", "tensor"],
 )
-def test_values_that_an_explainer_holds(make: Callable[[float], object]) -> None:
+def test_values_in_an_explainer_change_the_hash(make: Callable[[float], object]) -> None:
     differ_by_themselves(lambda value: as_explainer(make(value), name="own"))
 
 
-def test_a_float_of_a_policys_network() -> None:
+def test_a_float_in_a_policy_s_network_changes_the_hash() -> None:
     Network(0.0)  # torch_geometric completes a layer's class when the first is made, which is hashed
     keys = []
     for scale in (0.25, 0.5, 0.25):
@@ -85,14 +85,14 @@ def test_a_float_of_a_policys_network() -> None:
     assert keys[0] == keys[2] != keys[1]
 
 
-def test_a_global(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_global_changes_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
     before = object_sha256(by_global)
     assert before is not None
     monkeypatch.setitem(globals(), "SCALE", 0.75)
     assert object_sha256(by_global) != before
 
 
-def test_what_cannot_be_pickled_has_no_hash_and_is_never_found_again() -> None:
+def test_an_object_that_cannot_be_pickled_has_no_hash_and_is_not_cached() -> None:
     explainer = as_explainer(closure(sys.stdout), name="own")  # type: ignore[arg-type]
     assert object_sha256(explainer) is None
     keys = Keys()
@@ -125,7 +125,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["own", "Own", "lazy"])
-def test_a_module_beside_a_file_counts_and_is_read_again(name: str, folder: Path) -> None:
+def test_an_edit_of_a_module_beside_a_file_changes_the_hash(name: str, folder: Path) -> None:
     def now() -> str | None:
         return object_sha256(load_reference(f"{folder / 'own.py'}:{name}")[0])
 
@@ -139,8 +139,8 @@ def test_a_module_beside_a_file_counts_and_is_read_again(name: str, folder: Path
     assert str(folder) not in sys.path
 
 
-def test_a_module_in_memory_that_is_not_the_one_on_disk_has_a_hash_of_its_own(folder: Path) -> None:
-    """Or a result of the old code would be filed as one of the new."""
+def test_a_module_edited_after_its_import_has_another_hash(folder: Path) -> None:
+    """Otherwise a result of the old code would be stored as one of the new code."""
     old, _ = load_reference(f"{folder / 'own.py'}:own")
     (folder / "helper.py").write_text("def scaled(x):\n    return 0.75 * x\n")
     stale = object_sha256(old)
@@ -148,7 +148,7 @@ def test_a_module_in_memory_that_is_not_the_one_on_disk_has_a_hash_of_its_own(fo
     assert stale != object_sha256(new)
 
 
-def test_folders_that_name_their_modules_alike_do_not_mix(
+def test_folders_with_modules_of_one_name_are_kept_apart(
     folder: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     other = tmp_path_factory.mktemp("other")

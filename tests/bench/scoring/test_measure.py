@@ -1,4 +1,4 @@
-"""One episode, explained and measured: independent of everything but its arguments."""
+"""Measurements of an episode depend only on their arguments."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def values_of(explainer: Explainer, seed: int = 0, episode_seed: int = 7) -> Exp
     return explained.row
 
 
-def test_values_depend_on_the_seed_of_run_and_episode_alone() -> None:
+def test_values_depend_only_on_the_seeds_of_run_and_episode() -> None:
     control = CONTROLS["random"]
     assert values_of(control) == values_of(control)
     assert values_of(control, seed=1).mask_mass != values_of(control).mask_mass
     assert values_of(control, episode_seed=8).mask_mass != values_of(control).mask_mass
 
 
-def test_values_do_not_depend_on_what_is_explained_beside_them() -> None:
+def test_values_do_not_depend_on_other_explainers() -> None:
     names = ("random", "self", "oracle", "bernoulli")
     together = measured(*(CONTROLS[name] for name in names)).explained
     for name in names:
@@ -101,7 +101,7 @@ def test_explainers_run_on_one_thread() -> None:
         torch.set_num_threads(threads)
 
 
-def test_a_control_scores_the_same_carried_along_and_asked_for() -> None:
+def test_a_control_has_the_same_score_as_a_requested_explainer() -> None:
     result = measured(*CONTROLS.values())
     assert list(controls_of(result)) == list(CONTROLS)
     for name, carried in controls_of(result).items():
@@ -110,7 +110,7 @@ def test_a_control_scores_the_same_carried_along_and_asked_for() -> None:
         assert asked.row == carried, name
 
 
-def test_what_is_shared_is_measured_where_it_is_asked_for() -> None:
+def test_shared_measures_are_computed_on_request() -> None:
     unit = Unit(small_policy(6), (CONTROLS["random"],), episode(), 0, None, sanity=False, shared=False)
     without, beside = unit.run(), measured(CONTROLS["random"])
     assert without.shared is None
@@ -127,7 +127,7 @@ def test_the_inverse_of_a_mask_is_its_complement() -> None:
     assert result.inverted.fid_delta == -(result.row.fid_delta or 0.0)
 
 
-def test_budgets_are_what_budgeted_fidelity_is_made_of() -> None:
+def test_budgeted_fidelity_follows_from_the_budgets() -> None:
     each = measured(CONTROLS["random"]).explained["random"]
     assert isinstance(each, Explained)
     assert list(each.budgets) == ["budget", "comm_budget"]  # no reference states were given
@@ -139,7 +139,7 @@ def test_budgets_are_what_budgeted_fidelity_is_made_of() -> None:
         assert (curves[2] >= curves[0]).all()
 
 
-def test_without_an_oracle_a_budget_has_the_explained_curve_alone() -> None:
+def test_without_an_oracle_a_budget_has_only_the_explained_curve() -> None:
     observations = random_observations(2, 11, 6).numpy()
     crowd = Episode(7, observations, 0.0, 0.0, 0.0, 0.0, 2)
     each = Unit(small_policy(6), (CONTROLS["random"],), crowd, 0, None, False).run().explained["random"]
@@ -156,7 +156,7 @@ def test_the_error_of_one_explainer_does_not_stop_the_others() -> None:
     assert isinstance(result["random"], Explained)
 
 
-def test_a_team_too_large_for_the_oracle_has_none() -> None:
+def test_a_team_too_large_for_the_oracle_has_no_oracle() -> None:
     observations = random_observations(2, 11, 6).numpy()
     unit = Unit(small_policy(6), (), Episode(7, observations, 0.0, 0.0, 0.0, 0.0, 2), 0, None, False)
     controls = controls_of(unit.run())
@@ -165,7 +165,7 @@ def test_a_team_too_large_for_the_oracle_has_none() -> None:
     assert controls["random"].comm_topk_fid_delta is not None
 
 
-def test_sanity_is_checked_where_it_is_asked_for() -> None:
+def test_sanity_is_measured_on_request() -> None:
     random = measured(CONTROLS["random"], sanity=True).explained["random"]
     assert isinstance(random, Explained)
     assert random.sanity is not None
@@ -177,5 +177,5 @@ def test_sanity_is_checked_where_it_is_asked_for() -> None:
     ones = measured(CONTROLS["all-ones"], sanity=True).explained["all-ones"]
     assert isinstance(ones, Explained)
     assert ones.sanity is not None
-    assert ones.sanity.weight_randomisation is None  # ranks nothing
-    assert ones.sanity.seed_stability is None  # says that it is not stochastic
+    assert ones.sanity.weight_randomisation is None  # it ranks nothing
+    assert ones.sanity.seed_stability is None  # it is not stochastic

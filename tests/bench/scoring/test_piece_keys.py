@@ -1,4 +1,4 @@
-"""Work that would come out the same has one key, and work that would not another."""
+"""Pieces with the same result have the same key; others have different keys."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def plan(asked: Request) -> Plan:
     return Plan.of(asked, Keys())
 
 
-def test_the_key_follows_what_numbers_depend_on(make_bundle: MakeBundle) -> None:
+def test_the_key_changes_with_everything_that_numbers_depend_on(make_bundle: MakeBundle) -> None:
     base = request(make_bundle())
     explainer = base.explainer
     newer = replace(explainer, origin=replace(origin_of_explainer(explainer), version="99"))
@@ -51,7 +51,7 @@ def test_the_key_follows_what_numbers_depend_on(make_bundle: MakeBundle) -> None
         assert plan(same).piece_keys == plan(base).piece_keys
 
 
-def test_pieces_are_shared_by_all_that_need_the_same(make_bundle: MakeBundle) -> None:
+def test_requests_share_equal_pieces(make_bundle: MakeBundle) -> None:
     one, other = (plan(request(make_bundle(), name)).needs[0] for name in ("attention", "occlusion"))
     assert [piece.block.first for piece in one.episodes] == [0, 10]
     assert [len(piece.block.seeds) for piece in one.episodes] == [10, 2]
@@ -64,10 +64,10 @@ def test_pieces_are_shared_by_all_that_need_the_same(make_bundle: MakeBundle) ->
     assert [piece.key for piece in renamed] == [piece.key for piece in one]  # the weights are the same
 
 
-def test_every_source_of_the_harness_counts_and_versions_do(
+def test_the_key_changes_with_every_source_and_version(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """An unused colour constant too: it gives one new version, under which all is computed once."""
+    """Even an unused colour constant gives a new version, for which everything is computed once."""
     sources = dict(harness_sources())
     assert {"xmarl_envs/colours.py", "xmarl_bench/entry/aggregation.py"} <= sources.keys()
     before = sources_sha256(sources.items())

@@ -1,4 +1,4 @@
-"""Entries repeat byte for byte, whatever the number of processes and of parallel episodes."""
+"""Entries repeat byte for byte, for any number of processes and of parallel episodes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from xmarl_bench.scoring.selection import plan
 
 
 def bytes_of(entry: Entry) -> bytes:
-    """All of an entry but where and how fast it was made."""
+    """An entry without provenance and cost."""
     return canonical_json(entry.model_dump(mode="json", exclude={"provenance", "cost"}))
 
 
@@ -64,7 +64,7 @@ def test_one_and_two_processes_write_the_same_bytes(make_bundle: MakeBundle) -> 
 
 
 @pytest.mark.slow
-def test_an_entry_does_not_depend_on_what_else_is_scored(make_bundle: MakeBundle) -> None:
+def test_an_entry_does_not_depend_on_other_requests(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     samplings = Sampling(episodes=4, max_cycles=20), Sampling(episodes=2, timesteps=3, max_cycles=20)
     names = ("random", "attention")
@@ -82,14 +82,14 @@ def test_an_entry_does_not_depend_on_what_else_is_scored(make_bundle: MakeBundle
 
 
 @pytest.mark.slow
-def test_another_seed_is_another_score(make_bundle: MakeBundle) -> None:
+def test_another_seed_gives_another_score(make_bundle: MakeBundle) -> None:
     folder = make_bundle()
     first, second = (score(folder, "attention", episodes=2, max_cycles=10, seed=seed) for seed in (0, 1))
     assert first.results[0].metrics.fid_plus != second.results[0].metrics.fid_plus
     assert not set(first.protocol.seeds) & set(second.protocol.seeds)
 
 
-def test_what_an_entry_says(make_bundle: MakeBundle) -> None:
+def test_the_fields_of_an_entry(make_bundle: MakeBundle) -> None:
     entry = score(make_bundle("blind_passage_v0"), "all-ones", episodes=3, timesteps=4, max_cycles=12)
     (cell,) = entry.results
     assert (cell.task, cell.n_agents, cell.max_cycles) == ("blind_passage_v0", 3, 12)
@@ -112,7 +112,11 @@ def test_every_entry_carries_the_controls_on_the_same_states(make_bundle: MakeBu
     folder = make_bundle()
     entry, ones = (score(folder, name, episodes=2, max_cycles=9) for name in ("attention", "all-ones"))
     (cell,), (own,) = entry.results, ones.results
-    assert set(cell.controls) == {*CONTROLS, "nearest", "inverted"}  # no seed of the initial weights
+    assert set(cell.controls) == {
+        *CONTROLS,
+        "nearest",
+        "inverted",
+    }  # the card has no seed of the initial weights
     for name, summary in cell.controls["all-ones"]:
         if name not in BehaviourMetrics.model_fields:
             assert summary == getattr(own.metrics, name), name
@@ -129,7 +133,7 @@ def test_every_entry_carries_the_controls_on_the_same_states(make_bundle: MakeBu
 
 
 @pytest.mark.slow
-def test_what_is_not_measured_says_why(make_bundle: MakeBundle) -> None:
+def test_metrics_that_are_not_measured_have_a_reason(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
 
     def reasons(name: str, n_agents: int, behaviour_episodes: int | None) -> dict[str, str]:
@@ -159,7 +163,7 @@ def test_what_is_not_measured_says_why(make_bundle: MakeBundle) -> None:
 
 
 @pytest.mark.slow
-def test_fewer_behaviour_episodes_are_the_first_of_more(make_bundle: MakeBundle) -> None:
+def test_fewer_behaviour_episodes_are_the_first_ones_of_more(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     cells, sampling = (Cell(card.task, 3),), Sampling(episodes=4, max_cycles=12)
     requests = [
@@ -196,7 +200,7 @@ def test_tasks_without_walls_have_no_object_collision(make_bundle: MakeBundle) -
     assert entry.results[0].metrics.reward.interval is None  # one episode has no interval
 
 
-def test_a_policy_scores_with_any_team_size_its_task_takes(make_bundle: MakeBundle) -> None:
+def test_a_policy_is_scored_with_any_team_size_of_its_task(make_bundle: MakeBundle) -> None:
     folder = make_bundle("blind_passage_v0")
     assert score(folder, "attention", n_agents=5, episodes=1, max_cycles=5).results[0].n_agents == 5
     with pytest.raises(InputError, match="1 to 5 agents, got 6"):
@@ -204,12 +208,12 @@ def test_a_policy_scores_with_any_team_size_its_task_takes(make_bundle: MakeBund
 
 
 @pytest.mark.parametrize("name", sorted(BAD))
-def test_a_bad_explainer_yields_nothing(name: str, make_bundle: MakeBundle) -> None:
+def test_an_invalid_explainer_yields_no_entry(name: str, make_bundle: MakeBundle) -> None:
     with pytest.raises(InputError, match=repr(name)):
         score(make_bundle(), BAD[name], episodes=2, max_cycles=10)
 
 
-def test_a_bad_explainer_is_refused_before_a_good_one_is_scored(make_bundle: MakeBundle) -> None:
+def test_an_invalid_explainer_is_refused_before_a_valid_one_is_scored(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     requests = [
         Request(policy, card, explainer, (Cell(card.task, 3),), Sampling(episodes=2, max_cycles=10))
@@ -241,7 +245,7 @@ def test_options_out_of_range_are_refused(
         score(make_bundle(), "attention", **options)  # type: ignore[arg-type]
 
 
-def test_slow_explainers_get_few_states_and_the_others_both(make_bundle: MakeBundle) -> None:
+def test_slow_explainers_get_few_states_and_others_also_all(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     selected = [(policy, card, (Cell(card.task, 3),))]
     explainers = [find_explainer("random"), find_explainer("attention"), slow]
@@ -263,7 +267,7 @@ def test_seeds_are_far_from_those_of_training_and_never_shared() -> None:
 
 
 @pytest.mark.slow
-def test_written_entries_are_the_same_files(tmp_path: Path, make_bundle: MakeBundle) -> None:
+def test_equal_entries_are_written_to_equal_files(tmp_path: Path, make_bundle: MakeBundle) -> None:
     folder = make_bundle()
     names = [
         write_entry(tmp_path / "entries", score(folder, "random", episodes=2, max_cycles=10, seed=seed)).name

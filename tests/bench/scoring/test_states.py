@@ -1,4 +1,4 @@
-"""The metrics of masks, against the dense reference and at their limits."""
+"""The metrics of masks, against a dense reference and at their limits."""
 
 from __future__ import annotations
 
@@ -75,14 +75,14 @@ def test_ones_are_perfectly_faithful_and_zeros_their_complement() -> None:
     assert (ones["mask_mass"], zeros["mask_mass"]) == (1.0, 0.0)
     own = metrics_of(policy, observations, torch.eye(4).repeat(20, 1, 1))
     for name in (*UNDER_ABSENCES, "message_fidelity", "smallest_message_fidelity"):
-        assert ones[name] == zeros[name] == own[name] == 0.0, name  # none ranks the messages
+        assert ones[name] == zeros[name] == own[name] == 0.0, name  # none of them ranks messages
     assert ones["budgeted_fidelity"] == zeros["budgeted_fidelity"] == 0.0
 
 
 def test_the_complement_swaps_plus_and_minus() -> None:
     policy = small_policy(6, 3)
     observations = random_observations(20, 4, 6)
-    masks = torch.round(random_masks(20, 4) * 256) / 256  # so that 1 - (1 - m) is m to the bit
+    masks = torch.round(random_masks(20, 4) * 256) / 256  # so that 1 - (1 - m) equals m exactly
     one, other = metrics_of(policy, observations, masks), metrics_of(policy, observations, 1 - masks)
     for prefix in ("", "comm_"):
         assert one[prefix + "fid_plus"] == other[prefix + "fid_minus"]
@@ -108,7 +108,7 @@ def test_the_own_edge_is_explained_like_any_other_but_not_among_messages() -> No
 
 
 def test_binary_masks_get_the_same_fid_delta_from_table_and_forward() -> None:
-    """The best binary mask by the table has that FidDelta when it is run as any other mask is."""
+    """The best binary mask has the same FidDelta in the table and when run like any other mask."""
     policy, observations = small_policy(6, 5), random_observations(30, 4, 6)
     states = states_of(policy, observations)
     assert states.oracle_mask is not None
@@ -117,7 +117,7 @@ def test_binary_masks_get_the_same_fid_delta_from_table_and_forward() -> None:
     assert received == pytest.approx(states.all_edges.delta.max(axis=0).mean(), abs=1e-6)
 
 
-def test_a_squeezed_ranking_gains_fid_delta_and_no_budgeted_fidelity() -> None:
+def test_squeezing_a_ranking_raises_fid_delta_but_not_budgeted_fidelity() -> None:
     policy, observations = small_policy(6, 6), random_observations(200, 4, 6)
     states = states_of(policy, observations)
     ranking = torch.round(random_masks(200, 4) * 256) / 256
@@ -127,7 +127,7 @@ def test_a_squeezed_ranking_gains_fid_delta_and_no_budgeted_fidelity() -> None:
         assert getattr(plain, name) == getattr(squeezed, name), name
 
 
-def test_what_is_not_a_number_is_none_never_zero() -> None:
+def test_nan_becomes_none_and_never_zero() -> None:
     policy = small_policy(6, 5)
     observations = random_observations(4, 3, 6)
     observations[2] = torch.inf

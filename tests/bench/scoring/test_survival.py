@@ -1,7 +1,7 @@
-"""A sweep that is killed at any moment and run again writes what an undisturbed one writes, byte for byte.
+"""A sweep that is killed at any moment and run again writes the same bytes as an undisturbed one.
 
 It is killed right before an access to one of its files. XMARL_BENCH_KILLS=50 python -m pytest
-tests/bench/scoring/test_survival.py kills it at so many of them.
+tests/bench/scoring/test_survival.py kills it at 50 of them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 
 
 def results(cache: Path) -> Inodes:
-    """Every piece on disk; one that is written again is another file."""
+    """Every piece on disk with its inode, which changes if the piece is written again."""
     return {path: path.stat().st_ino for path in cache.glob("*/??/*") if not path.name.startswith(".")}
 
 
@@ -40,7 +40,7 @@ def hidden(folder: Path) -> set[str]:
 
 @dataclass(frozen=True)
 class Sweep:
-    """One command line, and what it writes when nothing disturbs it, in one process."""
+    """One command line, and its output when undisturbed in one process."""
 
     ask: Ask
     arguments: tuple[str, ...]
@@ -87,13 +87,15 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sweep]:
     ("victim", "jobs", "kills"),
     [("main", 1, KILLS), ("main", 2, -(-KILLS // 4)), ("worker", 2, -(-KILLS // 4))],
 )
-def test_killed_at_any_moment(victim: str, jobs: int, kills: int, sweep: Sweep, tmp_path: Path) -> None:
+def test_a_sweep_killed_at_any_moment_and_rerun_writes_the_same_bytes(
+    victim: str, jobs: int, kills: int, sweep: Sweep, tmp_path: Path
+) -> None:
     out, cache = tmp_path / "out", tmp_path / "cache"
     rng, struck, finished = np.random.default_rng(0), 0, 0
     while struck < kills or not finished:
         before = results(cache)
         if struck == kills:
-            jobs = 1  # a worker takes seconds to start, and what it leaves behind was made by two
+            jobs = 1  # saves the start of workers; the leftovers are from two
         request = Sweep.request(sweep.arguments, tmp_path, jobs)
         if struck < kills:
             request["victim"] = victim
@@ -101,10 +103,10 @@ def test_killed_at_any_moment(victim: str, jobs: int, kills: int, sweep: Sweep, 
         done = sweep.ask(request)
         struck += done["killed"]
         after = results(cache)
-        assert {path: after.get(path) for path in before} == before  # nothing finished is computed again
+        assert {path: after.get(path) for path in before} == before  # finished pieces are not recomputed
         if done["code"] != 0:
             assert done["killed"], done["err"]
-            assert victim == "main"  # a run gets over the death of a worker
+            assert victim == "main"  # a run survives the death of a worker
             continue
         finished += 1
         assert (out / "leaderboard.json").read_bytes() == sweep.board

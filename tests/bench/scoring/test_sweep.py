@@ -1,4 +1,4 @@
-"""A sweep computes what is missing and nothing else, and one failure stops no other."""
+"""A sweep computes only missing pieces, and a failure does not stop the others."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Spy:
         play = Rollout.play
 
         def spied_play(rollout: Rollout) -> object:
-            if rollout.seeds[0] != FIRST_FIT_SEED:  # the reference states, once per policy and run
+            if rollout.seeds[0] != FIRST_FIT_SEED:  # not the reference states, once per policy and run
                 self.seen.append(f"play {len(rollout.seeds)}")
             return play(rollout)
 
@@ -88,7 +88,7 @@ def ids(found: Sequence[Entry | Failed]) -> list[str]:
     return [each.entry_id for each in found if isinstance(each, Entry)]
 
 
-def test_what_is_there_is_not_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
+def test_cached_pieces_are_not_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
     one, cache = make_bundle(name="one"), tmp_path / "cache"
     first = outcomes(cache, [request(one)])
     assert spy.take() == [*PLAYED, "attention shared 10", "attention shared 2"]
@@ -118,7 +118,7 @@ def test_a_damaged_result_is_computed_again(make_bundle: MakeBundle, tmp_path: P
 
 
 def picky(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-    """Takes teams of three alone."""
+    """Works only for teams of three."""
     if observations.shape[1] != 3:
         raise ValueError("three, please")
     return torch.ones(*observations.shape[:2], observations.shape[1])
@@ -127,7 +127,7 @@ def picky(policy: Policy, observations: Tensor, generator: torch.Generator) -> T
 PICKY = Explainer("picky", picky)
 
 
-def test_a_failure_stops_no_other_and_is_tried_again(
+def test_a_failure_does_not_stop_others_and_is_retried(
     make_bundle: MakeBundle, tmp_path: Path, spy: Spy
 ) -> None:
     three, four = make_bundle(name="three"), make_bundle(name="four", n_agents=4)
@@ -137,7 +137,7 @@ def test_a_failure_stops_no_other_and_is_tried_again(
     assert spy.take()[8:10] == [
         "attention shared 10",
         "attention shared 2",
-    ]  # not picky's: it was tried before
+    ]  # not picky's, which ran before
     assert isinstance(failed, Failed)
     assert "'picky' failed" in failed.error
     assert "three, please" in failed.error
@@ -149,7 +149,7 @@ def test_a_failure_stops_no_other_and_is_tried_again(
     assert spy.take() == ["picky 10", "picky 2"]
 
 
-def test_an_explainer_that_works_nowhere_is_refused_before_anything_is_explained(
+def test_an_explainer_that_fails_everywhere_is_refused_before_explaining(
     make_bundle: MakeBundle, tmp_path: Path, spy: Spy
 ) -> None:
     folder = make_bundle()
@@ -158,10 +158,10 @@ def test_an_explainer_that_works_nowhere_is_refused_before_anything_is_explained
     assert spy.take() == PLAYED
 
 
-def test_blame_is_exact_where_a_whole_group_fails(
+def test_the_failing_explainer_of_a_group_is_named(
     make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As where memory ends, which no explainer can be asked about."""
+    """As when memory runs out, which a single explainer cannot be tested for."""
 
     def out_of_memory(payload: Payload) -> object:
         units = payload.work
@@ -185,7 +185,7 @@ def test_blame_is_exact_where_a_whole_group_fails(
     assert not list((tmp_path / "cache").glob("*/??/*.failed"))
 
 
-def test_the_record_of_a_run_says_how_far_it_is(make_bundle: MakeBundle, tmp_path: Path) -> None:
+def test_the_record_of_a_run_has_its_progress(make_bundle: MakeBundle, tmp_path: Path) -> None:
     cache, out = Cache(tmp_path / "cache"), tmp_path / "out"
     three, four = make_bundle(name="three"), make_bundle(name="four", n_agents=4)
     requests = [request(three), request(four, PICKY), request(three, PICKY)]
@@ -212,7 +212,7 @@ def by_median(values: Sequence[float | None], rng: np.random.Generator) -> Summa
 AGGREGATIONS = {"percentile_interval": partial(percentile_interval, confidence=0.5), "summarise": by_median}
 
 
-def test_an_entry_follows_the_aggregation_at_once_though_pieces_are_cached(
+def test_a_change_of_the_aggregation_takes_effect_with_cached_pieces(
     make_bundle: MakeBundle, tmp_path: Path, spy: Spy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, cache = make_bundle(), tmp_path / "cache"
@@ -234,7 +234,7 @@ def test_an_entry_follows_the_aggregation_at_once_though_pieces_are_cached(
     assert spy.take() == []
 
 
-def test_episodes_are_read_from_the_cache_once_a_run(
+def test_episodes_are_read_from_the_cache_once_per_run(
     make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reads: list[str] = []
@@ -248,5 +248,5 @@ def test_episodes_are_read_from_the_cache_once_a_run(
     folder = make_bundle()
     for _ in range(2):
         outcomes(tmp_path / "cache", [request(folder, name) for name in ("attention", "occlusion")])
-        assert len(reads) == len(set(reads)) == 10  # 2 blocks: played twice, shared, and of two explainers
+        assert len(reads) == len(set(reads)) == 10  # 2 blocks: two rollouts, shared, two explainers
         reads.clear()

@@ -1,4 +1,4 @@
-"""One small score, really measured once, and what tests make of it."""
+"""One small measured score, from which tests make entries and bundles."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def policy_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def entries(policy_folder: Path) -> list[Entry]:
-    """Of two explainers, on seven episodes, of which five were also played on the explanation."""
+    """Entries of two explainers on seven episodes, five of them also played on the explanation."""
     policy, card = load_policy(policy_folder)
     requests = [
         Request(policy, card, find_explainer(name), (Cell(TASK, TEAM),), Sampling(7, None, 8), 5)
@@ -55,7 +55,7 @@ def files(entries: list[Entry], policy_folder: Path) -> Mapping[str, bytes]:
 
 @pytest.fixture
 def pack(tmp_path: Path) -> Pack:
-    """pack(files, "name.zip") -> where it was written; a folder without .zip."""
+    """pack(files, "name.zip") -> the path of the bundle; a folder if the name has no .zip."""
 
     def write(files: Mapping[str, bytes], name: str = "bundle.zip") -> Path:
         write_bundle(tmp_path / name, files)

@@ -1,4 +1,4 @@
-"""Entries and bundles with something wrong in them, everything else made to fit again."""
+"""Entries and bundles with a fault, everything else made consistent again."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Edit = Callable[[dict[str, Any]], object]
 
 
 def with_id(value: dict[str, Any]) -> dict[str, Any]:
-    """The id of the JSON as it now is, valid or not."""
+    """The JSON with the id of its present content, valid or not."""
     left_out = ("entry_id", "verification", "provenance", "cost")
     content = {key: each for key, each in value.items() if key not in left_out}
     return {**value, "entry_id": hashlib.sha256(canonical_json(content)).hexdigest()}
 
 
 def edited(entry: Entry, edit: Edit, *, aggregates: bool = False) -> Entry:
-    """A valid entry with an edit, its id made to fit; with `aggregates` its means and intervals too."""
+    """A valid entry with an edit and a matching id; with `aggregates` also matching means and intervals."""
     value = entry.model_dump(mode="json")
     edit(value)
     changed = Entry.model_validate_json(json.dumps(value))
@@ -38,7 +38,7 @@ def edited(entry: Entry, edit: Edit, *, aggregates: bool = False) -> Entry:
 
 
 def with_manifest(files: Mapping[str, bytes], **fields: Any) -> dict[str, bytes]:
-    """The files under a manifest whose checksums fit them."""
+    """The files with a manifest of matching checksums."""
     content = {name: data for name, data in files.items() if name != MANIFEST}
     manifest = Manifest.model_validate_json(files[MANIFEST])
     made = manifest.model_copy(update={"files": file_records(content), **fields})
@@ -46,7 +46,7 @@ def with_manifest(files: Mapping[str, bytes], **fields: Any) -> dict[str, bytes]
 
 
 def with_entry(files: Mapping[str, bytes], entry: Entry) -> dict[str, bytes]:
-    """The bundle with an entry in the place of the one of its name, rows and checksums made to fit."""
+    """The bundle with the entry of this name replaced, with matching rows and checksums."""
     name = entry.file_name
     changed = {
         **files,

@@ -1,4 +1,4 @@
-"""Files of strangers: names are compared with a closed list, sizes counted, and nothing is unpacked."""
+"""Third-party archives: names are compared with a closed list, sizes counted, and nothing is unpacked."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def link(archive: zipfile.ZipFile) -> None:
 
 
 def zeros(n_bytes: int) -> Make:
-    """A member of zeros, about a thousandth of its size in the zip."""
+    """A member of zeros, compressed to about a thousandth of its size."""
 
     def make(archive: zipfile.ZipFile) -> None:
         with archive.open("policies/x/policy.safetensors", "w", force_zip64=True) as file:
@@ -88,7 +88,7 @@ def bzip2(archive: zipfile.ZipFile) -> None:
         ),
     ],
 )
-def test_what_a_zip_must_not_hold(tmp_path: Path, make: Make, said: str) -> None:
+def test_a_zip_with_forbidden_members_is_refused(tmp_path: Path, make: Make, said: str) -> None:
     path = zipped(tmp_path / "x.zip", make)
     started = time.process_time()
     (finding,) = check(path).findings
@@ -99,8 +99,10 @@ def test_what_a_zip_must_not_hold(tmp_path: Path, make: Make, said: str) -> None
 
 
 @pytest.mark.slow
-def test_a_zip_that_lies_about_itself(tmp_path: Path, files: Mapping[str, bytes], pack: Pack) -> None:
-    """Cut anywhere, sizes of a gigabyte claimed, and the checksum of another file."""
+def test_a_zip_with_false_sizes_or_checksums_is_refused(
+    tmp_path: Path, files: Mapping[str, bytes], pack: Pack
+) -> None:
+    """Truncated anywhere, with claimed sizes of a gigabyte, and with the checksum of another file."""
     data = pack(files).read_bytes()
     path = tmp_path / "lie.zip"
     for cut in range(0, len(data) - 1, len(data) // 40):
@@ -108,7 +110,7 @@ def test_a_zip_that_lies_about_itself(tmp_path: Path, files: Mapping[str, bytes]
         with pytest.raises(InputError, match="no zip that can be read"):
             read_files(path)
     directory = data.rfind(b"PK\x01\x02")
-    for offset in (20, 24):  # compressed and whole size of the last file: what is there is read, and no more
+    for offset in (20, 24):  # compressed and full size of the last file: only existing bytes are read
         claim = struct.pack("<I", 2**30)
         path.write_bytes(data[: directory + offset] + claim + data[directory + offset + 4 :])
         assert read_files(path) == dict(files)
@@ -117,14 +119,16 @@ def test_a_zip_that_lies_about_itself(tmp_path: Path, files: Mapping[str, bytes]
         read_files(path)
 
 
-def test_a_name_that_ends_early_for_some_readers(tmp_path: Path) -> None:
+def test_a_name_with_a_null_byte_is_refused(tmp_path: Path) -> None:
     path = zipped(tmp_path / "x.zip", lambda archive: archive.writestr("entries/a.json!.txt", "{}"))
     path.write_bytes(path.read_bytes().replace(b"a.json!", b"a.json\0"))
     (finding,) = check(path).findings
     assert "'entries/a.json\\x00.txt', which is no file of a bundle" in finding
 
 
-def test_a_folder_with_links_and_pipes(tmp_path: Path, files: Mapping[str, bytes], pack: Pack) -> None:
+def test_a_folder_with_links_and_pipes_is_refused(
+    tmp_path: Path, files: Mapping[str, bytes], pack: Pack
+) -> None:
     def with_link(folder: Path) -> None:
         (folder / "README.md").symlink_to("/etc/passwd")
 
@@ -144,7 +148,7 @@ def test_a_folder_with_links_and_pipes(tmp_path: Path, files: Mapping[str, bytes
         assert "a link or special file" in finding or "no file of a bundle" in finding
 
 
-def test_what_cannot_be_read_is_exit_code_2(tmp_path: Path, run_cli: RunCli) -> None:
+def test_unreadable_bundles_give_exit_code_2(tmp_path: Path, run_cli: RunCli) -> None:
     (tmp_path / "empty.zip").write_bytes(b"")
     (tmp_path / "text.zip").write_text("hello")
     (tmp_path / "folder").mkdir()
@@ -168,7 +172,7 @@ def test_names_of_a_bundle_are_paths_inside_it() -> None:
     assert MAX_FILES == 1000
 
 
-def test_a_zip_in_memory_is_never_needed_twice(files: Mapping[str, bytes], pack: Pack) -> None:
+def test_a_zip_and_a_folder_are_read_alike(files: Mapping[str, bytes], pack: Pack) -> None:
     assert read_files(pack(files)) == dict(files)
     assert read_files(pack(files, "folder")) == dict(files)
     assert zipfile.is_zipfile(io.BytesIO(pack(files, "y.zip").read_bytes()))

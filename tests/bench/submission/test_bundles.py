@@ -1,4 +1,4 @@
-"""A bundle that `submit` packed is valid, whole, and the same bytes each time; any edit of it is found."""
+"""A bundle packed by `submit` is valid, complete and reproducible; any edit of it is found."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def swap(of: Any, one: Any, other: Any) -> None:
     of[one], of[other] = of[other], of[one]
 
 
-def test_zip_and_folder_hold_the_same_and_are_valid(files: Mapping[str, bytes], pack: Pack) -> None:
+def test_zip_and_folder_have_the_same_content_and_are_valid(files: Mapping[str, bytes], pack: Pack) -> None:
     for name in ("bundle.zip", "bundle"):
         checked = check(pack(files, name))
         assert checked.findings == []
@@ -48,7 +48,7 @@ def test_zip_and_folder_hold_the_same_and_are_valid(files: Mapping[str, bytes], 
     assert pack(files, "again.zip").read_bytes() == pack(files, "more.zip").read_bytes()
 
 
-def test_submit_packs_what_validate_accepts_and_overwrites_nothing(
+def test_submit_packs_a_valid_bundle_and_overwrites_nothing(
     tmp_path: Path, entries: list[Entry], policy_folder: Path, run_cli: RunCli
 ) -> None:
     entry = write_entry(tmp_path, entries[0])
@@ -69,7 +69,7 @@ def test_submit_packs_what_validate_accepts_and_overwrites_nothing(
     assert out.read_bytes() == before
 
 
-def test_submit_refuses_what_would_be_refused_and_writes_nothing(
+def test_submit_writes_no_invalid_bundle(
     tmp_path: Path, entries: list[Entry], policy_folder: Path, run_cli: RunCli
 ) -> None:
     tampered = edited(entries[0], lambda value: rows(value)[0].update(length=9, timesteps=9, makespan=9.0))
@@ -136,19 +136,17 @@ FOUND: list[tuple[str, Edit]] = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("said", "edit"), FOUND)
-def test_numbers_that_do_not_fit_one_another_are_found(
+def test_inconsistent_numbers_are_found(
     said: str, edit: Edit, entries: list[Entry], files: Mapping[str, bytes], pack: Pack
 ) -> None:
-    """The id, the rows and the checksums were made to fit, so that is what is found."""
+    """Id, rows and checksums match, so only the inconsistency can be found."""
     tampered = edited(entries[0], edit)
     findings = check(pack(with_entry(files, tampered), "x")).findings
     assert any(said in finding for finding in findings), findings
     assert all("\n" not in finding and finding.endswith(".") for finding in findings)
 
 
-def test_each_file_of_a_bundle_is_held_to_the_others(
-    files: Mapping[str, bytes], entries: list[Entry], pack: Pack
-) -> None:
+def test_files_of_a_bundle_must_agree(files: Mapping[str, bytes], entries: list[Entry], pack: Pack) -> None:
     name = entries[0].file_name
     csv = f"rows/{name.removesuffix('.json')}.csv"
     block = Verification(status="re-executed", by="me")
@@ -175,7 +173,7 @@ def test_each_file_of_a_bundle_is_held_to_the_others(
         assert any(said in finding for finding in findings), (said, findings)
 
 
-def test_a_policy_under_the_name_of_another_is_found(files: Mapping[str, bytes], pack: Pack) -> None:
+def test_a_policy_with_another_name_is_found(files: Mapping[str, bytes], pack: Pack) -> None:
     card = files["policies/small/policy.json"].replace(b'"name": "small"', b'"name": "other"')
     findings = check(pack(with_manifest({**files, "policies/small/policy.json": card}))).findings
     assert len(findings) == 2
@@ -183,10 +181,10 @@ def test_a_policy_under_the_name_of_another_is_found(files: Mapping[str, bytes],
 
 
 @pytest.mark.slow
-def test_validating_waits_for_no_torch(
+def test_validating_does_not_import_torch(
     tmp_path: Path, entries: list[Entry], files: Mapping[str, bytes], pack: Pack
 ) -> None:
-    """Whatever it is, and whatever is found: the command, in a process of its own."""
+    """The command in its own process, for every kind of path and result."""
     entry, bundle = write_entry(tmp_path, entries[0]), pack(files)
     weights = "policies/small/policy.safetensors"
     broken = pack(with_manifest({**files, weights: files[weights][:-4]}), "broken.zip")
@@ -204,19 +202,19 @@ def test_validating_waits_for_no_torch(
     assert f"{broken}: policies/small: {WEIGHTS} cannot be read as safetensors" in ran.stdout
 
 
-def test_controls_are_named_as_they_are() -> None:
+def test_names_of_controls_agree() -> None:
     known = consistency.FLOORS | consistency.CEILINGS | consistency.OF_KNOWN_ORIGIN
     assert {*CONTROLS, NEAREST, INITIAL_ATTENTION, INVERTED} == known
 
 
-def test_published_schemas_are_those_of_the_code() -> None:
+def test_published_schemas_are_up_to_date() -> None:
     for name, model in PUBLISHED.items():
         published = json.loads((ROOT / "leaderboard" / name).read_text())
         assert published == schema(model), "run `python -m xmarl_bench.submission.schema leaderboard`"
 
 
 @pytest.mark.slow
-def test_the_shipped_board_holds_valid_entries_only() -> None:
+def test_all_entries_of_the_shipped_board_are_valid() -> None:
     paths = sorted((ROOT / "leaderboard" / "entries").glob("*.json"))
     assert paths
     for path in paths[:: max(1, len(paths) // 5)]:

@@ -1,4 +1,4 @@
-"""Hundreds of mutated entries and bundles: each refused in sentences, within two seconds, nothing written."""
+"""Hundreds of mutated entries and bundles are refused in sentences within two seconds of CPU time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from xmarl_bench.submission.packing import write_bundle
 
 pytestmark = pytest.mark.slow
 
-SECONDS = 2.0  # of processor time
+SECONDS = 2.0  # of CPU time
 ENTRIES, BUNDLES = 250, 60
 VALUES: list[Any] = [
     None, True, -1, 0, 10**18, 10**30, 1.5, -0.1, 1e300, "", "x", "9" * 5000, "\ud800", "\x1b[2J",
@@ -47,7 +47,7 @@ def at(value: Any, path: Place) -> Any:
 
 
 def mutated(data: bytes, paths: list[Place], rng: random.Random, *, fit_id: bool = False) -> bytes:
-    """The text of a JSON document with one thing wrong at one of the places, or with equals swapped."""
+    """The text of a JSON document with a fault at one of the places, or with two values swapped."""
     value = json.loads(data)
     path = rng.choice(paths)
     holder, key = at(value, path[:-1]), path[-1]
@@ -65,7 +65,7 @@ def mutated(data: bytes, paths: list[Place], rng: random.Random, *, fit_id: bool
         del holder[key]
     elif kind == "extra" and isinstance(holder, dict):
         holder[rng.choice(["extra", "__class__", "$ref", "../x"])] = holder[key]
-    elif kind == "swap":  # with the same name elsewhere: another cell, row, control or metric
+    elif kind == "swap":  # with a value of the same name in another cell, row, control or metric
         other = rng.choice([each for each in paths if each[-1] == key])
         far = at(value, other[:-1])
         holder[key], far[other[-1]] = far[other[-1]], holder[key]
@@ -75,7 +75,7 @@ def mutated(data: bytes, paths: list[Place], rng: random.Random, *, fit_id: bool
 
 
 def refused(path: Path) -> float:
-    """Seconds of processor time until it was refused, in sentences fit for a terminal."""
+    """CPU seconds until it was refused, with sentences that are safe on a terminal."""
     started = time.process_time()
     try:
         findings = check(path).findings
@@ -91,7 +91,7 @@ def refused(path: Path) -> float:
 
 
 def same(text: bytes, original: bytes) -> bool:
-    """Whether a mutation left the document as it was: a swap of equals, or a value for itself."""
+    """Whether a mutation left the document unchanged, such as a swap of equal values."""
     try:
         return text.count(b":") == original.count(b":") and bool(json.loads(text) == json.loads(original))
     except (ValueError, RecursionError):
@@ -102,7 +102,7 @@ def test_mutated_entries_are_refused(tmp_path: Path, entries: list[Entry]) -> No
     rng = random.Random(7)
     data = entry_text(entries[0])
     paths = [path for path in places(json.loads(data)) if path]
-    # What the id covers; the rest is checked for its form alone.
+    # Only what the id covers; the rest is checked only for its form.
     paths = [path for path in paths if path[0] not in ("verification", "provenance", "cost")]
     file = tmp_path / "entry.json"
     seconds: list[float] = []
@@ -118,7 +118,7 @@ def test_mutated_entries_are_refused(tmp_path: Path, entries: list[Entry]) -> No
 def test_mutated_bundles_are_refused(
     tmp_path: Path, entries: list[Entry], files: Mapping[str, bytes]
 ) -> None:
-    """Entries under ids that fit, manifests, rows, cards and weights; half under checksums that fit."""
+    """Entries with matching ids, manifests, rows, cards and weights; half with matching checksums."""
     rng = random.Random(8)
     bundle = tmp_path / "bundle.zip"
     seconds: list[float] = []
@@ -140,7 +140,7 @@ def test_mutated_bundles_are_refused(
 
 def _mutated_file(name: str, data: bytes, rng: random.Random) -> bytes:
     if name.startswith("entries/"):
-        # With a fitting id: numbers that others follow from, or that follow from others.
+        # With a matching id: numbers that others are derived from, or that are derived from others.
         own = ("protocol",), ("results", 0, "episodes"), ("results", 0, "metrics")
         numbers = [
             path

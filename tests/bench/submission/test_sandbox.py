@@ -1,4 +1,4 @@
-"""A stranger's explainer gives the same masks behind the wall, and does no harm there."""
+"""A third-party explainer gives the same masks in the sandbox, and does no harm."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.submission.limits import Limits, Wall, strongest
 from xmarl_bench.submission.sandbox import Sandbox
 
-# What it does is chosen by the first number that it sees.
+# The first observed number chooses what it does.
 CODE = """
 import os, socket, time
 import torch
@@ -71,7 +71,7 @@ def stranger(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.mark.parametrize("wall", WALLS)
-def test_masks_are_the_same_and_harm_is_one_sentence(
+def test_masks_are_the_same_and_harmful_acts_are_refused(
     wall: Wall, stranger: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SECRET_TOKEN", "hunter2")
@@ -106,7 +106,7 @@ def test_masks_are_the_same_and_harm_is_one_sentence(
                 doing(what)
             assert str(caught.value).isprintable()
         if wall == "rlimits":
-            assert float(doing(4).max()) > 0  # it is open, as its documentation says
+            assert float(doing(4).max()) > 0  # the network is open, as documented
         assert float(doing(3).max()) > 0
         assert bool(doing(5).any()) == (wall != "bubblewrap")
         if wall == "rlimits":
@@ -115,7 +115,7 @@ def test_masks_are_the_same_and_harm_is_one_sentence(
         else:
             sandbox.limits = replace(sandbox.limits, answer_seconds=1.0)
             with pytest.raises(InputError, match="did not answer within 1 s"):
-                doing(9)  # which sleeps for an hour
+                doing(9)  # it sleeps for an hour
         assert sandbox.process is None
         with pytest.raises(InputError, match="ended"):
             doing(0)
@@ -130,7 +130,7 @@ def test_masks_are_the_same_and_harm_is_one_sentence(
         ("Limits().apply(); bytes(2**32)", "MemoryError"),
     ],
 )
-def test_limits_hold_and_cannot_be_lifted(act: str, said: str, tmp_path: Path) -> None:
+def test_limits_hold_and_cannot_be_raised(act: str, said: str, tmp_path: Path) -> None:
     code = (
         "from xmarl_bench.submission.limits import Limits\n"
         f"Limits(cpu_seconds=1, memory_bytes=2**31, file_bytes=2**20).apply()\n{act}"
@@ -142,6 +142,6 @@ def test_limits_hold_and_cannot_be_lifted(act: str, said: str, tmp_path: Path) -
     assert said in done.stderr
 
 
-def test_limits_are_numbers_above_zero() -> None:
+def test_limits_must_be_above_zero() -> None:
     with pytest.raises(InputError, match="cpu_seconds must be more than 0, got 0"):
         Limits(cpu_seconds=0)

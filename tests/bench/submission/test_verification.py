@@ -1,4 +1,4 @@
-"""Which tier finds what: a tampered metric, row, policy, seed list or control; what a sign-off changes."""
+"""The tiers find tampered metrics, rows, policies, seed lists and controls; the effect of a sign-off."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def of_bundle(path: Path, entry: Entry, options: Options) -> Verdict:
 
 
 @pytest.mark.slow
-def test_entries_are_verified_side_by_side(files: Mapping[str, bytes], pack: Pack, run_cli: RunCli) -> None:
+def test_entries_are_verified_in_parallel(files: Mapping[str, bytes], pack: Pack, run_cli: RunCli) -> None:
     path = pack(files)
     one, two = (run_cli("verify", path, "--tier", "full", "--jobs", jobs, "--json").out for jobs in (1, 2))
     assert one == two
@@ -74,10 +74,10 @@ def test_a_tampered_metric_is_found_by_recomputing(
 
 
 @pytest.mark.slow
-def test_a_tampered_row_is_found_by_playing_it_again(
+def test_a_tampered_row_is_found_by_a_rerun(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack
 ) -> None:
-    """The aggregates were derived from it, so nothing but a rerun can tell."""
+    """The aggregates match it, so only a rerun can find it."""
 
     def better(value: dict[str, Any]) -> None:
         rows(value)[3].update(gef=rows(value)[3]["gef"] * 0.999999)
@@ -91,7 +91,7 @@ def test_a_tampered_row_is_found_by_playing_it_again(
     assert 0 < spot.max_abs_diff < 1e-5
     with pytest.raises(InputError, match="did not pass is not signed off"):
         spot.block("me")
-    for draws_it in (True, False):  # one of seven episodes: it takes the right draw
+    for draws_it in (True, False):  # one of seven episodes, which may not be drawn
         seeds = (
             seed for seed in range(99) if (np.random.default_rng(seed).permutation(7)[0] == 3) == draws_it
         )
@@ -100,7 +100,7 @@ def test_a_tampered_row_is_found_by_playing_it_again(
 
 
 @pytest.mark.slow
-def test_tampered_behaviour_and_controls_are_found_by_running_everything(
+def test_tampered_behaviour_and_controls_are_found_by_a_full_rerun(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack
 ) -> None:
     def both(value: dict[str, Any]) -> None:
@@ -110,7 +110,7 @@ def test_tampered_behaviour_and_controls_are_found_by_running_everything(
 
     tampered = edited(entries[0], both, aggregates=True)
     path = pack(with_entry(files, tampered))
-    assert of_bundle(path, tampered, SPOT).findings == ()  # as its documentation says
+    assert of_bundle(path, tampered, SPOT).findings == ()  # as documented
     findings = of_bundle(path, tampered, FULL).findings
     for where in (
         "episodes.0.reward_on_explanation",
@@ -121,7 +121,7 @@ def test_tampered_behaviour_and_controls_are_found_by_running_everything(
 
 
 def swapped(files: Mapping[str, bytes], entry: Entry, tmp_path: Path) -> tuple[dict[str, bytes], Entry]:
-    """Another policy under the name of the first, hashes made to fit: only its actions differ."""
+    """Another policy under the same name with matching hashes: only its actions differ."""
     folder = tmp_path / "other"
     card: PolicyCard = save_policy(
         folder, small_policy(8, seed=1), name="small", task=TASK, n_agents=TEAM, attention_entropy=0.5,
@@ -143,7 +143,7 @@ def test_a_swapped_policy_is_found(
     assert any(
         "its weights_sha256 is not" in each for each in check(pack(with_manifest(other), "a")).findings
     )
-    # With the entries' hashes swapped too, only running it tells.
+    # With the entries' hashes swapped too, only a rerun finds it.
     name = entries[1].file_name
     kept = {key: data for key, data in other.items() if name.removesuffix(".json") not in key}
     path = pack(with_entry(kept, tampered), "b.zip")
@@ -167,7 +167,7 @@ def test_changed_seeds_are_found(files: Mapping[str, bytes], entries: list[Entry
 
     chosen = edited(entries[0], other_list, aggregates=True)
     assert any("not those of seed 0" in each for each in check(pack(with_entry(files, chosen), "a")).findings)
-    # The episodes of one seed said to be those of another: every aggregate follows, no episode does.
+    # Episodes of one seed given as those of another: aggregates match, episodes do not.
     renamed = edited(entries[0], other_run, aggregates=True)
     name = entries[0].file_name
     kept = {key: data for key, data in files.items() if name.removesuffix(".json") not in key}
@@ -176,7 +176,7 @@ def test_changed_seeds_are_found(files: Mapping[str, bytes], entries: list[Entry
 
 
 @pytest.mark.slow
-def test_a_sign_off_is_a_block_of_its_own(
+def test_a_sign_off_adds_only_its_block(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack, tmp_path: Path, run_cli: RunCli
 ) -> None:
     path = pack(files)
@@ -197,14 +197,14 @@ def test_a_sign_off_is_a_block_of_its_own(
     assert block.when is not None
     unsigned = signed.model_copy(update={"verification": entries[0].verification})
     assert unsigned == entries[0]
-    # An entry file is signed where it is; a second tier replaces the block of the first.
+    # An entry file is signed in place; a second tier replaces the block of the first.
     file = out / entries[0].file_name
     assert run_cli("verify", file, "--by", "B").code == 0
     assert (read_entry(file).verification.status, read_entry(file).verification.by) == ("recomputed", "B")
 
 
 @pytest.mark.slow
-def test_verify_exits_1_for_what_is_wrong_and_2_for_what_cannot_be_run(
+def test_verify_exits_with_1_for_findings_and_2_if_it_cannot_run(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack, tmp_path: Path, run_cli: RunCli
 ) -> None:
     tampered = edited(entries[0], lambda value: rows(value)[3].update(gef=0.5), aggregates=True)
@@ -236,7 +236,7 @@ other = Explainer("stranger", explain, stochastic=False)
 
 
 @pytest.mark.slow
-def test_code_of_strangers_runs_when_trusted_and_walled_in(
+def test_third_party_code_runs_only_if_trusted_and_in_the_sandbox(
     files: Mapping[str, bytes], policy_folder: Path, pack: Pack, tmp_path: Path, run_cli: RunCli
 ) -> None:
     from xmarl_bench.policy import load_policy
@@ -267,7 +267,9 @@ def test_code_of_strangers_runs_when_trusted_and_walled_in(
     assert "code_sha256 is that of another file" in ran.out
 
 
-def test_elsewhere_there_is_a_tolerance(entries: list[Entry], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_another_machine_there_is_a_tolerance(
+    entries: list[Entry], monkeypatch: pytest.MonkeyPatch
+) -> None:
     entry = entries[0]
     assert tolerance.is_same_platform(entry)
     for change in ({"cpu_capability": "NEON"}, {"packages": {**entry.provenance.packages, "torch": "3.0"}}):
@@ -279,8 +281,8 @@ def test_elsewhere_there_is_a_tolerance(entries: list[Entry], monkeypatch: pytes
     assert not agrees(Difference("x", None, 0.0), 1e-3)
     assert agrees(Difference("x", None, None), None)
     episodes = [[near]] * 9 + [[near, far]]
-    assert disagreeing(episodes, bitwise=False) == []  # one of ten may branch off
-    assert disagreeing([[near], [far]], bitwise=False) == [far]  # of two none
+    assert disagreeing(episodes, bitwise=False) == []  # one of ten may differ by more
+    assert disagreeing([[near], [far]], bitwise=False) == [far]  # none of two may
     assert len(disagreeing(episodes, bitwise=True)) == 10
     assert replace(SPOT, trust_code=True).trust_code
     assert verification.STATUS[Tier.full] == "re-executed"

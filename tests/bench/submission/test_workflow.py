@@ -1,4 +1,4 @@
-"""The workflow for submissions has no rights, and takes names of files for data."""
+"""The workflow for submissions has no permissions, and treats names of files as data."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def git(folder: Path, *arguments: str) -> str:
 
 
 def script(name: str) -> str:
-    """The shell of a step, as it stands in the workflow."""
+    """The shell script of a step in the workflow."""
     step = WORKFLOW.read_text().split(f"- name: {name}", 1)[1]
     found = re.search(r"run: \|\n((?: {10}.*\n)+)", step)
     assert found is not None
     return "".join(line[10:] + "\n" for line in found[1].splitlines())
 
 
-def test_it_may_read_and_nothing_else() -> None:
+def test_the_workflow_has_only_read_permission() -> None:
     text = re.sub(r"#.*", "", WORKFLOW.read_text())
     assert re.search(r"^permissions:\n  contents: read\n(?! )", text, re.MULTILINE)
     assert re.findall(r"^on:\n  (\w+):", text, re.MULTILINE) == ["pull_request"]

@@ -1,4 +1,4 @@
-"""What agents can do, and the one place that makes pushes of it.
+"""Action spaces, and the conversion of actions to pushes.
 
 A push is (x, y), each in [-1, 1]; times the task's `u_mult` it is a force in newton. Continuous actions are
 pushes. Discrete ones, those of a task with `continuous_actions=False`, are numbers, in MPE2's order:
@@ -26,31 +26,31 @@ N_ACTIONS = len(PUSHES)
 
 
 def action_space(task: Task) -> spaces.Space[Any]:
-    """Of one agent."""
+    """The action space of one agent."""
     if task.continuous_actions:
         return spaces.Box(-1.0, 1.0, (2,), np.float32)
     return spaces.Discrete(N_ACTIONS)
 
 
 def team_action_space(task: Task) -> spaces.Space[Any]:
-    """Of all agents of a team together: arrays of `action_shape`."""
+    """The action space of a whole team: arrays of `action_shape`."""
     if task.continuous_actions:
         return spaces.Box(-1.0, 1.0, action_shape(task), np.float32)
     return spaces.MultiDiscrete([N_ACTIONS] * task.n_agents)
 
 
 def action_shape(task: Task) -> tuple[int, ...]:
-    """Of a team's actions: (N, 2), or (N,) where they are discrete."""
+    """The shape of a team's actions: (N, 2), or (N,) if they are discrete."""
     return (task.n_agents, 2) if task.continuous_actions else (task.n_agents,)
 
 
 def action_width(continuous_actions: bool) -> int:
-    """How many numbers a policy gives for an action: entries of a push, or one for each action there is."""
+    """How many numbers a policy outputs per action: entries of a push, or one per discrete action."""
     return 2 if continuous_actions else N_ACTIONS
 
 
 def pushes(task: Task, actions: NDArray[Any]) -> NDArray[Any]:
-    """(B, N, 2), or (B, N) where they are discrete -> (B, N, 2) pushes; what lies outside is clipped.
+    """(B, N, 2), or (B, N) if they are discrete -> (B, N, 2) pushes, clipped to [-1, 1].
 
     Raises ValueError for NaN and infinity, and for discrete actions that are not whole numbers from 0 to 4.
     """
@@ -71,7 +71,7 @@ def pushes(task: Task, actions: NDArray[Any]) -> NDArray[Any]:
 
 
 def nearest_actions(task: Task, wanted: NDArray[np.floating]) -> NDArray[Any]:
-    """(..., N, 2) pushes -> the team's actions that come nearest: the pushes themselves, or numbers."""
+    """(..., N, 2) pushes -> the team's nearest actions: the pushes themselves, or numbers."""
     if task.continuous_actions:
         return wanted
     apart = wanted[..., None, :] - PUSHES

@@ -1,4 +1,4 @@
-"""Policies that remember, of random weights: of the closed list, and networks that bring code."""
+"""Policies with memory and random weights: from the closed list, and networks given as code."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TWO_LAYERS = (
 def remembering(
     cell: str, after: int, layers: tuple[dict[str, Any], ...] = ONE_LAYER, width: int = 5
 ) -> LayeredArchitecture:
-    """A record for observations of 6 entries."""
+    """An architecture for observations of 6 entries."""
     return LayeredArchitecture.model_validate(
         {
             "obs_dim": 6,
@@ -37,7 +37,7 @@ def remembering(
 
 
 def random_weights(architecture: LayeredArchitecture, seed: int = 0) -> dict[str, Tensor]:
-    """Large enough that messages and memories matter."""
+    """Weights large enough that messages and memories matter."""
     generator = torch.Generator().manual_seed(seed)
     return {
         name: torch.randn(shape, generator=generator) * 0.6
@@ -46,12 +46,12 @@ def random_weights(architecture: LayeredArchitecture, seed: int = 0) -> dict[str
 
 
 def recurrent_policy(architecture: LayeredArchitecture, seed: int = 0) -> GraphPolicy | LayeredPolicy:
-    """GATv2 of one head takes the fast path."""
+    """A policy with random weights; GATv2 of one head takes the fast path."""
     return build_policy(architecture, random_weights(architecture, seed))
 
 
 class AttentionThenGru(nn.Module):
-    """What an agent hears goes into its memory, and its action comes out of that."""
+    """Messages go into an agent's memory, from which it computes its action."""
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__()
@@ -70,7 +70,7 @@ class AttentionThenGru(nn.Module):
 
 
 class LstmThenAttention(nn.Module):
-    """What an agent sees goes into its memory, and messages tell of that."""
+    """Observations go into an agent's memory, from which messages are computed."""
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__()

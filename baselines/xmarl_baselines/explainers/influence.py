@@ -1,14 +1,14 @@
-"""Social influence: would the receiver act otherwise, had the sender said something else?
+"""Social influence: how differently would the receiver act if the sender had said something else?
 
 Paper: Jaques et al., "Social Influence as Intrinsic Motivation for Multi-Agent Deep Reinforcement Learning"
 (ICML 2019), the counterfactual reward of section 3. Formula: the influence of the message j -> i is
 
     c_ij = KL( p_i(. | m_j) || 1/K sum_k p_i(. | m_j^k) ),
 
-p_i the distribution of the receiver's action, m_j what j says and m_j^k what it said in a reference state: a
-state of an episode that no score plays, drawn at random for each timestep and k. All other messages are as
-they were, and the receiver weighs each message as it did: this is the absence model `resample` of
-xmarl_bench.explain.absence. A message that nobody attends to has no influence.
+with the distribution p_i of the receiver's action, the message m_j of j, and its message m_j^k in a reference
+state: a state of an episode that no score plays, drawn at random for each timestep and k. All other messages
+and the receiver's coefficients are unchanged: this is the absence model `resample`. A message without
+attention has no influence.
 
 For discrete actions the right side is a categorical, and the KL is exact. For continuous ones it is a mixture
 of Normals, and a KL to that has no closed form. The smallest of its variational upper bounds replaces it
@@ -18,12 +18,12 @@ of Normals, and a KL to that has no closed form. The smallest of its variational
     c_ij = -log 1/K sum_k exp(-KL(p_i || p_i^k)),
 
 each KL in closed form, between the diagonal Normals under the tanh, which equals that of the TanhNormals. No
-actions are drawn. The bound is 0 where no other message changes the distribution, exact where all components
-are alike, and at most the mean of their KLs.
+actions are drawn. The bound is 0 if no other message changes the distribution, exact if all components
+are equal, and at most the mean of their KLs.
 
-Departures: messages take the place of actions, and their marginal is over reference states, not over the
-sender's own policy. The mask is c / max c over the row; an agent's own edge is no message between agents, and
-kept. Coefficients and messages must be known: policies of several layers or heads are refused.
+Departures: messages instead of actions, with a marginal over reference states, not over the sender's own
+policy. The mask is c / max c over the row; own edges are kept, because they are not messages between agents.
+Coefficients and messages must be known: policies of several layers or heads are refused.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy
 
 @dataclass(eq=False)
 class Influence:
-    """The explainer; fitted, it holds the states in which other things were said."""
+    """The explainer. Fitting stores the reference states."""
 
-    draws: int = 32  # K, of another message of each sender, for each timestep
+    draws: int = 32  # K other messages of each sender, for each timestep
     reference: Tensor = field(init=False, repr=False)  # (Q, N, D)
 
     def fit(self, observations: Tensor) -> None:
@@ -54,11 +54,11 @@ class Influence:
         self.reference = observations
 
     def explain(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-        """(S, N, D) -> (S, N, N). Raises InputError where coefficients are not known."""
+        """(S, N, D) -> (S, N, N). Raises InputError if coefficients are not known."""
         if not isinstance(policy, GraphPolicy):
             raise InputError(
-                "influence puts other messages in place of those that were sent, and needs a policy with one "
-                "layer of one head, whose coefficients are known: choose another explainer or policy."
+                "influence replaces messages by others, which needs known coefficients: a policy with one "
+                "layer of one head. Choose another explainer or policy."
             )
         known: GraphPolicy = policy
         n_steps, n_agents, _ = observations.shape
@@ -75,7 +75,7 @@ class Influence:
 
 
 def influences(policy: GraphPolicy, observations: Tensor, said: Tensor) -> Tensor:
-    """One chunk: (S, N, D), and (K, S, N, W) what each sender might have said -> (S, N, N), diagonal 0."""
+    """One chunk: (S, N, D), and (K, S, N, W) other messages of each sender -> (S, N, N), diagonal 0."""
     n_steps, n_agents, _ = observations.shape
     prepared = policy.prepare(observations)
     actual = policy.decode(prepared)
@@ -89,9 +89,9 @@ def influences(policy: GraphPolicy, observations: Tensor, said: Tensor) -> Tenso
 
 
 def kl_to_mixture(actual: ActionDistribution, others: ActionDistribution) -> Tensor:
-    """In nats, exact or the bound above: (..., N, A), and (K, ..., N, A) of the mixture -> (..., N).
+    """KL in nats, exact or the bound above: (..., N, A), and (K, ..., N, A) of the mixture -> (..., N).
 
-    Raises InputError for a deterministic policy, which has no distribution to compare.
+    Raises InputError if the policy is deterministic and so has no distribution.
     """
     if actual.kind == "deterministic":
         raise InputError(

@@ -1,4 +1,4 @@
-"""Influence, against a computation state by state in float64, integrals of the mixture, and known truth."""
+"""Influence, against a float64 computation state by state, integrals of the mixture, and known truth."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def log_density(x: Floats, loc: float, scale: float) -> Floats:
 
 
 def kl(p: tuple[Floats, Floats], q: tuple[Floats, Floats]) -> float:
-    """Of diagonal Normals, written out."""
+    """KL of diagonal Normals, written out."""
     total = 0.0
     for m, s, n, t in zip(*p, *q, strict=True):
         total += math.log(t / s) + (s**2 + (m - n) ** 2) / (2 * t**2) - 0.5
@@ -67,12 +67,12 @@ def test_by_hand() -> None:
     assert float(kl_to_mixture(one, mixture([2.0, 2.0], [1.0, 1.0]))) == pytest.approx(2.0)
     # Half of the counterfactuals agree: the mixture is half of the distribution.
     assert float(kl_to_mixture(one, mixture([0.0, far], [1.0, 1.0]))) == pytest.approx(math.log(2))
-    # All far away, e^-5000 each: nothing under- or overflows.
+    # All far away, e^-5000 each, without under- or overflow.
     assert float(kl_to_mixture(one, mixture([far, far], [1.0, 1.0]))) == pytest.approx(5000.0)
 
 
 @pytest.mark.parametrize("residual", [False, True])
-def test_it_is_the_formula_message_by_message(residual: bool) -> None:
+def test_influence_equals_the_formula_message_by_message(residual: bool) -> None:
     policy, observations = small_policy(6, 1, residual=residual), random_observations(3, 4, 6)
     elsewhere = random_observations(15, 4, 6, 5)
     with torch.no_grad():
@@ -97,7 +97,7 @@ def test_it_is_the_formula_message_by_message(residual: bool) -> None:
 
 
 @pytest.mark.parametrize("family", ["one-sender", "by-content"])
-def test_the_one_sender_that_is_read_is_found_and_the_others_have_none(family: str) -> None:
+def test_only_the_sender_that_is_read_has_influence(family: str) -> None:
     truth = planted(family, 5, n_steps=40)
     explainer = fit_explainer(influence, truth.policy, truth.reference, 0)
     mask = run_explainer(explainer, truth.policy, truth.observations, 0)
@@ -109,7 +109,7 @@ def test_the_one_sender_that_is_read_is_found_and_the_others_have_none(family: s
     assert rows[~relevant & ~own].max() < 1e-6  # e^-20 of the attention
 
 
-def test_a_sender_to_whom_nobody_attends_has_none_whatever_it_might_have_said(
+def test_a_sender_without_attention_has_no_influence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     policy, observations = small_policy(6, 1), random_observations(4, 3, 6)
@@ -128,9 +128,9 @@ def test_a_sender_to_whom_nobody_attends_has_none_whatever_it_might_have_said(
     assert found[:, 2, :2].min() > 1e-3
 
 
-def test_draws_are_what_the_same_agent_said_and_own_edges_are_kept() -> None:
+def test_draws_are_messages_of_the_same_sender_and_own_edges_are_kept() -> None:
     policy, observations = small_policy(6, 1), random_observations(6, 3, 6)
-    # One reference state, that of timestep 0 but for agent 1: the others would have said the same there.
+    # One reference state, equal to timestep 0 except for agent 1: the others' messages are the same.
     reference = observations[:1].clone()
     reference[:, 1] += 1.0
     fitted = fit_explainer(influence, policy, reference, 0)
@@ -148,8 +148,8 @@ def test_policies_whose_coefficients_are_not_known_are_refused() -> None:
             run_explainer(fitted, policy, random_observations(2, 3, 6), 0)
 
 
-def test_more_draws_agree_better() -> None:
-    """Between seeds, in rank: the mixture is estimated by draws."""
+def test_more_draws_give_more_stable_ranks() -> None:
+    """Compared between seeds, because the mixture is estimated by draws."""
     policy, observations = small_policy(6, 1), random_observations(30, 4, 6)
     reference = random_observations(200, 4, 6, 3)
 
@@ -171,7 +171,7 @@ def test_a_deterministic_policy_is_refused() -> None:
 
 
 @given(st.lists(st.lists(st.floats(-4, 4), min_size=5, max_size=5), min_size=2, max_size=5))
-def test_of_discrete_actions_the_kl_to_the_mixture_is_exact(logits: list[list[float]]) -> None:
+def test_for_discrete_actions_the_kl_to_the_mixture_is_exact(logits: list[list[float]]) -> None:
     probabilities = np.exp(np.array(logits)) / np.exp(np.array(logits)).sum(axis=-1, keepdims=True)
     p, q = probabilities[0], probabilities[1:].mean(axis=0)
     loc = torch.from_numpy(np.log(probabilities))[:, None]

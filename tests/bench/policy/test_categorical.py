@@ -1,4 +1,4 @@
-"""Categorical policies: what is compared, what is played, and every command on a bundle and on code."""
+"""Categorical policies: their metrics, the actions they play, and every command on a bundle and on code."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ HERE = "tests.bench.policy.test_categorical"
 
 
 class Pilot(nn.Module):
-    """Pushes along the longer way to its goal, and a little after the team."""
+    """Pushes along the longer axis towards its goal, and a little after the team."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,7 +67,7 @@ def softmax(logits: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(powers / powers.sum(axis=-1, keepdims=True))
 
 
-def test_logits_are_probabilities_and_the_first_of_the_likeliest_is_chosen() -> None:
+def test_logits_give_probabilities_and_the_first_likeliest_action() -> None:
     raw = torch.log(torch.tensor([[2.0, 1.0, 4.0, 4.0, 5.0], [1.0, 3.0, 3.0, 1.0, 0.0]])) + 7.0
     distribution = action_distribution(raw, "categorical")
     torch.testing.assert_close(distribution.action, torch.tensor([[2, 1, 4, 4, 5], [2, 6, 6, 2, 0]]) / 16)
@@ -76,7 +76,7 @@ def test_logits_are_probabilities_and_the_first_of_the_likeliest_is_chosen() -> 
 
 
 @pytest.mark.parametrize("policy", [small_policy(6, 1, categorical=True), deep()], ids=["one layer", "deep"])
-def test_as_a_network_it_gives_its_probabilities(policy: Policy) -> None:
+def test_called_as_a_network_it_returns_probabilities(policy: Policy) -> None:
     for x in random_observations(3, 4, 6):
         with torch.no_grad():
             probabilities = policy(x, policy.edges(x))
@@ -156,7 +156,7 @@ def test_bundle_and_code_are_scored_end_to_end(explainer: str, tmp_path: Path) -
     )  # its coefficients are known
 
 
-def test_a_bundle_is_what_was_saved(tmp_path: Path) -> None:
+def test_saving_and_loading_keeps_the_bundle(tmp_path: Path) -> None:
     for name, policy in (("small", small_policy(6, 1, categorical=True)), ("deep", deep())):
         saved: Any = policy
         save_policy(tmp_path / name, saved, name=name, **CARD)
@@ -170,7 +170,7 @@ def test_a_bundle_is_what_was_saved(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_sound_policy_passes_every_check() -> None:
+def test_a_valid_policy_passes_every_check() -> None:
     found = list(check_policy(pilot_policy(), CELL, timesteps=4, episodes=2))
     assert [each.check for each in found] == list(CHECKS)
     assert [each.message for each in found if not each.passed] == []
@@ -178,7 +178,9 @@ def test_a_sound_policy_passes_every_check() -> None:
 
 
 @pytest.mark.slow
-def test_every_command_takes_it(tmp_path: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_accepts_a_categorical_policy(
+    tmp_path: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(BlindNavigation, "default_max_cycles", 12)
     code = ("--policy", f"{HERE}:pilot", "--trust-code")
     ran = run_cli("score", *code, "--explainer", "occlusion", "--episodes", 1, "--out", tmp_path / "results")

@@ -1,4 +1,4 @@
-"""Memories of the closed list: the cell by hand, on both paths, on disk, out of another library."""
+"""Memories of the closed list: cells by hand, on both paths, saved and loaded, and from another library."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def sigmoid(x: Array) -> Array:
 
 
 def gru_by_hand(w: dict[str, Array], x: Array, h: Array) -> tuple[Array, Array]:
-    """Cho et al. (2014), as torch has it: the reset gate scales the hidden half of the candidate."""
+    """Cho et al. (2014) as in torch: the reset gate scales the hidden half of the candidate."""
     r_x, z_x, n_x = np.split(w["weight_ih"] @ x + w["bias_ih"], 3)
     r_h, z_h, n_h = np.split(w["weight_hh"] @ h + w["bias_hh"], 3)
     reset, update = sigmoid(r_x + r_h), sigmoid(z_x + z_h)
@@ -67,7 +67,7 @@ BY_HAND = {"gru": gru_by_hand, "lstm": lstm_by_hand}
 
 
 @CELLS
-def test_a_cell_is_the_formula_written_out(cell: str) -> None:
+def test_a_cell_equals_the_written_out_formula(cell: str) -> None:
     record = Memory.model_validate({"cell": cell, "width": 4})
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
@@ -115,8 +115,8 @@ def test_the_fast_path_equals_the_generic_one(cell: str, after: int) -> None:
 
 @CELLS
 @pytest.mark.parametrize("after", [0, 1, 2])
-def test_a_memory_sits_at_its_place(cell: str, after: int) -> None:
-    """Two layers and a cell, called one after the other as torch and torch_geometric have them."""
+def test_a_memory_runs_at_its_place_between_layers(cell: str, after: int) -> None:
+    """Compared with two layers and a cell of torch_geometric and torch, called one after the other."""
     policy = recurrent_policy(remembering(cell, after, TWO_LAYERS))
     assert isinstance(policy, LayeredPolicy)
     assert not policy.row_wise
@@ -144,8 +144,8 @@ def test_a_memory_sits_at_its_place(cell: str, after: int) -> None:
 
 @CELLS
 @pytest.mark.parametrize("after", [0, 1])
-def test_messages_reach_the_memory_of_their_receiver_alone(cell: str, after: int) -> None:
-    """A memory before the layer is of what an agent saw itself; one after it keeps what it heard."""
+def test_messages_reach_only_the_memory_of_their_receiver(cell: str, after: int) -> None:
+    """A memory before the layer keeps the agent's own observations; one after it keeps messages."""
     policy = recurrent_policy(remembering(cell, after))
     observations, mask = random_observations(1, 4, 6 + policy.memory_dim), torch.ones(1, 4, 4)
     mask[0, 1, 2] = 0.0  # the message 2 -> 1
@@ -161,7 +161,7 @@ def test_messages_reach_the_memory_of_their_receiver_alone(cell: str, after: int
 
 @CELLS
 @pytest.mark.parametrize("layers", [ONE_LAYER, TWO_LAYERS], ids=["fast", "generic"])
-def test_on_disk(cell: str, layers: tuple[dict[str, Any], ...], tmp_path: Path) -> None:
+def test_memories_are_saved_and_loaded(cell: str, layers: tuple[dict[str, Any], ...], tmp_path: Path) -> None:
     policy = recurrent_policy(remembering(cell, 1, layers))
     saved = save_policy(tmp_path, policy, name="mine", **CARD)
     loaded, card = load_policy(tmp_path)
@@ -182,7 +182,7 @@ def test_records_without_memory_are_written_as_before() -> None:
     assert memory.shape == (2, 3, 0)
 
 
-def test_a_place_has_to_exist() -> None:
+def test_a_memory_after_a_missing_layer_is_refused() -> None:
     with pytest.raises(ValidationError, match="after layer 2, and there are 1"):
         remembering("gru", 2)
     with pytest.raises(ValidationError, match="after layer 2, and there are 1"):
@@ -197,7 +197,11 @@ class TorchRLActor(nn.Module):
     """TorchRL's own GRU after a graph layer, its MLP and its head."""
 
     def __init__(self) -> None:
-        from torchrl.modules import MLP, GRUModule, NormalParamExtractor  # a second, for this test alone
+        from torchrl.modules import (
+            MLP,
+            GRUModule,
+            NormalParamExtractor,
+        )  # takes a second, and only this test needs it
 
         super().__init__()
         self.gnn = GATv2Conv(6, 8, add_self_loops=False)

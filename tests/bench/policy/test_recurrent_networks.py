@@ -1,4 +1,4 @@
-"""Networks with memory that come in as code: taken and right, or refused with one sentence."""
+"""Networks with memory given as code: accepted with correct results, or refused with one sentence."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ N = 3
 
 
 @pytest.mark.parametrize("make", [AttentionThenGru, LstmThenAttention])
-def test_a_rollout_is_that_of_plain_torch(make: Callable[[], Any]) -> None:
+def test_a_rollout_equals_that_of_plain_torch(make: Callable[[], Any]) -> None:
     network = make()
     policy = opened(network)
     assert policy.row_wise
@@ -35,8 +35,8 @@ def test_a_rollout_is_that_of_plain_torch(make: Callable[[], Any]) -> None:
             torch.testing.assert_close(memory, torch.cat(parts, dim=-1), rtol=0, atol=1e-6)
 
 
-def test_the_memory_recorded_is_held_while_a_timestep_is_explained() -> None:
-    """Who acts on the memory as it was is not moved by any message of this timestep, and remembers them."""
+def test_a_timestep_is_explained_with_its_recorded_memory() -> None:
+    """An agent that acts on its old memory does not react to this timestep's messages, but remembers them."""
 
     class ActsOnTheLast(AttentionThenGru):
         def step(self, x: Tensor, edge_index: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -50,7 +50,7 @@ def test_the_memory_recorded_is_held_while_a_timestep_is_explained() -> None:
     assert (full[1] - masked[1]).abs().max() > 1e-3
 
 
-def test_on_a_graph_that_changes() -> None:
+def test_memory_on_a_changing_graph() -> None:
     policy = opened(LstmThenAttention(), graph=RadiusGraph(radius=1.0))
     observations = random_observations(4, N, 6 + policy.memory_dim)
     adjacency = policy.adjacency(observations)
@@ -63,7 +63,7 @@ def test_on_a_graph_that_changes() -> None:
 
 
 class Recurrent(nn.Module):
-    """Attention, then whatever a test is about."""
+    """Attention, then a step that a test gives."""
 
     def __init__(self, step: Callable[[Recurrent, Tensor, Tensor, Any], Any], start: Any = None) -> None:
         super().__init__()
@@ -78,13 +78,13 @@ class Recurrent(nn.Module):
 
 
 def rolls(network: Recurrent, x: Tensor, edges: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Hands every agent the memory of the one before it, unseen in what they do now."""
+    """Gives every agent the memory of the one before it, without effect on its present action."""
     heard = network.layer(x, edges)
     return heard + torch.tanh(state), state.view(-1, N, 4).roll(1, dims=1).view(-1, 4) + heard
 
 
 def averages(network: Recurrent, x: Tensor, edges: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Over the rows of all teams."""
+    """Averages memories over the rows of all teams."""
     heard = network.layer(x, edges)
     return heard + state, heard + state.mean(dim=0)
 

@@ -1,4 +1,4 @@
-"""Many teams in one forward pass: to the bit as alone, and the policy's own actions to rounding."""
+"""Many teams in one forward pass: same bits as alone, and the policy's actions up to rounding."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def teams_of(policy: GraphPolicy, n_teams: int, n_agents: int, seed: int) -> Ten
 
 
 def differing(name: str, n_agents: int, sizes: list[int], seed: int = 0) -> list[int]:
-    """The batch sizes at which some team acts otherwise than alone, in any order and beside any others."""
+    """The batch sizes at which some team's bits differ from those alone, for any order and other teams."""
     policy = network(name)
     step = step_teams(policy)
     with torch.inference_mode():
@@ -61,13 +61,13 @@ def differing(name: str, n_agents: int, sizes: list[int], seed: int = 0) -> list
     sizes=st.lists(st.integers(1, 200), min_size=1, max_size=6),
     seed=st.integers(0, 2**16),
 )
-def test_a_team_acts_to_the_bit_as_alone(name: str, n_agents: int, sizes: list[int], seed: int) -> None:
+def test_a_team_has_the_same_bits_as_alone(name: str, n_agents: int, sizes: list[int], seed: int) -> None:
     assert differing(name, n_agents, sizes, seed) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("instructions", ["AVX2", "SSE4_2"])
-def test_also_with_fewer_vector_instructions(instructions: str) -> None:
+def test_bits_are_the_same_with_fewer_vector_instructions(instructions: str) -> None:
     environment = {
         **os.environ,
         "ATEN_CPU_CAPABILITY": "avx2" if instructions == "AVX2" else "default",
@@ -85,7 +85,7 @@ def test_also_with_fewer_vector_instructions(instructions: str) -> None:
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-def test_actions_and_memory_are_the_policys_own(name: str) -> None:
+def test_actions_and_memory_equal_the_policy_s(name: str) -> None:
     policy = network(name)
     step = step_teams(policy)
     mask = torch.rand(4, 4, generator=torch.Generator().manual_seed(3))

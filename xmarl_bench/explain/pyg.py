@@ -31,8 +31,8 @@ class PygExplain:
 
     algorithm: makes a new algorithm object.
     effect: explain the sum over agents of e_i (xmarl_bench.explain.effect), the single number that
-        CaptumExplainer needs. Otherwise explain the deterministic actions of all agents, as a regression on
-        nodes.
+        CaptumExplainer needs. Otherwise explain F, the deterministic actions or the probabilities of
+        discrete ones of all agents, as a regression on nodes.
     per_agent: explain one agent at a time (PyG's `index`) and take row i from the explanation of agent i.
     to_unit: maps attributions (N, N) to [0, 1], for algorithms that do not return masks.
 

@@ -106,7 +106,7 @@ def record(
 def _choose(
     task: Task, team: str, policy: Policy | None, seed: int
 ) -> Callable[[State, Floats], tuple[Floats, Floats]]:
-    """(state, observations (N, D + H)) -> actions (N, 2), what is remembered next (N, H)."""
+    """(state, observations (N, D + H)) -> actions (N, 2) or (N,), what is remembered next (N, H)."""
     if policy is not None:
         choose = chooser(policy)
 

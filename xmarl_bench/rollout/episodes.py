@@ -53,10 +53,10 @@ class Act(Protocol):
     """Chooses the actions of a batch of teams."""
 
     def __call__(self, observation: Floats, slots: Sequence[int], /) -> tuple[NDArray[Any], Floats]:
-        """(B, N, D + H) of all slots, the slots still playing -> (B, N, 2) actions, (B, N, H) what is
-        remembered next.
+        """(B, N, D + H) of all slots, the slots still playing -> actions, (B, N, H) what is remembered next.
 
-        Those of other slots are ignored. H is 0 where nothing is remembered.
+        Actions are (B, N, 2), or (B, N) numbers. Those of other slots are ignored. H is 0 where nothing is
+        remembered.
         """
 
 

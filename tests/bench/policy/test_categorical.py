@@ -157,14 +157,17 @@ def test_bundle_and_code_are_scored_end_to_end(explainer: str, tmp_path: Path) -
 
 
 def test_saving_and_loading_keeps_the_bundle(tmp_path: Path) -> None:
-    for name, policy in (("small", small_policy(6, 1, categorical=True)), ("deep", deep())):
+    memory = {"cell": "gru", "width": 4, "after": 1}
+    recurrent = random_policy(record(GAT2, distribution="categorical", action_dim=5, memory=memory))
+    policies = {"small": small_policy(6, 1, categorical=True), "deep": deep(), "recurrent": recurrent}
+    for name, policy in policies.items():
         saved: Any = policy
         save_policy(tmp_path / name, saved, name=name, **CARD)
         loaded, card = load_policy(tmp_path / name)
         assert (card.architecture.distribution, card.architecture.action_dim) == ("categorical", 5)
         assert type(loaded) is type(policy)
         assert not loaded.continuous_actions
-        x = random_observations(3, 3, 6)
+        x = random_observations(3, 3, 6 + loaded.memory_dim)
         with torch.no_grad():
             assert torch.equal(loaded.distribution(x).action, policy.distribution(x).action)
 

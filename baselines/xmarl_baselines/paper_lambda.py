@@ -39,7 +39,7 @@ from xmarl_bench.rollout.evaluation import evaluate_policy
 RECORDS = CONTROLS / "paper_lambda"
 STATES = Sampling(episodes=20)  # the first that scoring plays, every timestep, measured after training
 EPISODES, CHECKPOINT_EVERY = 100, 5  # of the evaluation; iterations
-Look = dict[str, float | None]
+AttentionRecord = dict[str, float | None]
 
 
 def own_share(attention: NDArray[np.floating]) -> float:
@@ -61,7 +61,7 @@ class _Attention(BaseCallback):
     def __init__(self, name: str) -> None:
         super().__init__()
         self._name = name
-        self.looks: list[Look] = []
+        self.records: list[AttentionRecord] = []
 
     def _on_step(self) -> bool:
         return True
@@ -72,28 +72,28 @@ class _Attention(BaseCallback):
         with torch.no_grad():
             attention = self.model.policy.actor.attention(seen).numpy()
         ended = [row["is_success"] for row in self.model.ep_info_buffer or []]
-        look: Look = {
+        record: AttentionRecord = {
             "frames": self.model.num_timesteps - len(seen),  # trained on so far
             "attention_entropy": float(attention_entropy(attention).mean()),
             "own_share": own_share(attention),
             "success_while_exploring": float(np.mean(ended)) if ended else None,
         }
-        self.looks.append(look)
-        print(self._name, look, flush=True)
+        self.records.append(record)
+        print(self._name, record, flush=True)
 
 
-def first_iterations(run: Run, iterations: int, folder: Path) -> tuple[GraphPolicy, list[Look]]:
+def first_iterations(run: Run, iterations: int, folder: Path) -> tuple[GraphPolicy, list[AttentionRecord]]:
     """The policy after `iterations` of `run`, and its attention on the states of each iteration.
 
     `folder` gets SB3's checkpoints.
     """
     recipe = run.recipe
     model = build(run, seed=run.seed)
-    looking = _Attention(run.name)
+    recorder = _Attention(run.name)
     keeping = CheckpointCallback(CHECKPOINT_EVERY * recipe.n_steps, str(folder), name_prefix="model")
-    model.learn(iterations * recipe.n_envs * recipe.n_steps, callback=[looking, keeping])
+    model.learn(iterations * recipe.n_envs * recipe.n_steps, callback=[recorder, keeping])
     model.save(folder / "model")
-    return plain_actor(model), looking.looks
+    return plain_actor(model), recorder.records
 
 
 @torch.inference_mode()
@@ -130,7 +130,7 @@ def main(
     run, started = run_named(name), time.process_time()
     recipe = run.recipe
     with one_thread():
-        policy, looks = first_iterations(run, iterations, runs / name)
+        policy, along = first_iterations(run, iterations, runs / name)
         seconds = time.process_time() - started
         record: dict[str, Any] = {
             "name": name,
@@ -144,7 +144,7 @@ def main(
             "frames": iterations * recipe.n_envs * recipe.n_steps,
             "frames_of_the_schedule": recipe.frames,
             "cpu_seconds": round(seconds, 1),
-            "along": looks,
+            "along": along,
             "listening": listening(policy, recipe.task, run.n_agents),
             "performance": evaluate_policy(policy, recipe.task, run.n_agents, episodes=episodes),
         }

@@ -51,10 +51,10 @@ def _ship_along_training(run: Path, policy: GraphPolicy, fields: dict[str, Any])
     frames = fields["training"]["frames"]
     for percent in ALONG_TRAINING:
         curve = fields["training"]["curve"]
-        look = min(curve, key=lambda record: abs(record["frames"] - frames * percent / 100))
-        weights = weights_at(run, look)
+        validation = min(curve, key=lambda record: abs(record["frames"] - frames * percent / 100))
+        weights = weights_at(run, validation)
         policy.load_state_dict(load_file(weights))
-        training = {**fields["training"], "validation": look, "percent": percent}
+        training = {**fields["training"], "validation": validation, "percent": percent}
         training["command"] += f"; then {weights.relative_to(run.parent)}"
         save_policy(
             HERE / f"{fields['name']}-at{percent}",

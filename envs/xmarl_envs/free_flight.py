@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_envs.chamber import CONTACT_CHECKS, DAMPING, MOVE, PUSH, SUBSTEPS
+from xmarl_envs.slotted_space import CONTACT_CHECKS, DAMPING, MOVE, PUSH, SUBSTEPS
 from xmarl_envs.task import Bools, Floats, Task
 
 MOVES = SUBSTEPS * CONTACT_CHECKS  # per step; Chipmunk checks for contacts after each
@@ -19,7 +19,7 @@ def fly(position: Floats, velocity: Floats, force: Floats) -> tuple[Floats, Floa
 
     Returns the positions after each move, (MOVES, B, N, 2), and the velocity at the end, (B, N, 2). The
     operations are those of Chipmunk's cpBodyUpdatePosition and cpBodyUpdateVelocity in the order of
-    `Chamber.step`, so the results have the same bits as those of a Space.
+    `SlottedSpace.step`, so the results have the same bits as those of a Space.
     """
     path = np.empty((MOVES, *position.shape))
     push = force * PUSH * DURATION

@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from xmarl_envs.actions import team_action_space
-from xmarl_envs.seed_row import SeedRow
+from xmarl_envs.episode_seeds import EpisodeSeeds
 from xmarl_envs.task import Bools, Floats, Task
 from xmarl_envs.vector_env import Step, VectorEnv
 
@@ -67,7 +67,7 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._env = VectorEnv(task, num_envs, max_cycles, copies_per_space)
-        self._rows = [SeedRow() for _ in range(num_envs)]
+        self._episode_seeds = [EpisodeSeeds() for _ in range(num_envs)]
         self._over: Bools = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
@@ -80,7 +80,7 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
             raise ValueError(f"each entry needs one seed: got {len(seed)} seeds for {self.num_envs} entries.")
         for k, given in enumerate(seed):
             if begin[k] and given is not None:
-                self._rows[k] = SeedRow(given)
+                self._episode_seeds[k] = EpisodeSeeds(given)
         return self._begin(begin), {}
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Floats, Bools, Bools, Infos]:
@@ -113,7 +113,7 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
     def _begin(self, entries: Bools) -> Array:
         which = np.flatnonzero(entries)
         self._over[which] = False
-        return self._env.reset([self._rows[k].draw() for k in which], which)
+        return self._env.reset([self._episode_seeds[k].draw() for k in which], which)
 
     def _infos(self, step: Step, entries: Bools) -> Infos:
         """An array and a mask for every key, as in Gymnasium; the array is 0 where the mask is False."""

@@ -12,8 +12,8 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec, wrappers
 
 from xmarl_envs.actions import action_space
+from xmarl_envs.episode_seeds import EpisodeSeeds
 from xmarl_envs.scene import Track
-from xmarl_envs.seed_row import SeedRow
 from xmarl_envs.task import Task
 from xmarl_envs.vector_env import VectorEnv
 
@@ -46,7 +46,7 @@ class TaskParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # no
         self._vector = VectorEnv(task, n_episodes=1, max_cycles=max_cycles)
         self._renderer: Renderer | None = None
         self._track: Track | None = None  # for pictures; None without a render mode
-        self._seeds = SeedRow()
+        self._seeds = EpisodeSeeds()
         self.possible_agents = [f"agent_{i}" for i in range(task.n_agents)]
         self.agents: list[str] = []
         box = spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
@@ -71,9 +71,9 @@ class TaskParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # no
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
-        """Begin an episode. The same seed gives the same episode; without one, `SeedRow` draws the next."""
+        """Begin an episode. The same seed gives the same episode; without one, a seed is drawn."""
         if seed is not None:
-            self._seeds = SeedRow(seed)
+            self._seeds = EpisodeSeeds(seed)
         observation = self._vector.reset([self._seeds.draw()])[0]
         self.agents = list(self.possible_agents)
         if self.render_mode is not None:

@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from xmarl_envs.actions import action_space
-from xmarl_envs.seed_row import SeedRow
+from xmarl_envs.episode_seeds import EpisodeSeeds
 from xmarl_envs.task import Task
 from xmarl_envs.vector_env import VectorEnv
 
@@ -85,7 +85,7 @@ class AgentVecEnv(OneObjectVecEnv):
     ) -> None:
         self.task = task
         self._env = VectorEnv(task, n_episodes, max_cycles, copies_per_space)
-        self._rows = [SeedRow() for _ in range(n_episodes)]
+        self._episode_seeds = [EpisodeSeeds() for _ in range(n_episodes)]
         super().__init__(
             n_episodes * task.n_agents,
             spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32),
@@ -97,17 +97,17 @@ class AgentVecEnv(OneObjectVecEnv):
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed the next `reset()`: team k with seed + k. Returns the seed of each entry's team."""
         if seed is None:
-            seed = SeedRow().draw()
+            seed = EpisodeSeeds().draw()
         self._seeds = [seed + entry // self.task.n_agents for entry in range(self.num_envs)]
         return self._seeds
 
     def reset(self) -> NDArray[np.float32]:
         for k, seed in enumerate(self._seeds[:: self.task.n_agents]):
             if seed is not None:
-                self._rows[k] = SeedRow(seed)
+                self._episode_seeds[k] = EpisodeSeeds(seed)
         self._reset_seeds()  # SB3's rule: seeds and options are used once
         self._reset_options()
-        return self._by_entry(self._env.reset([row.draw() for row in self._rows]))
+        return self._by_entry(self._env.reset([seeds.draw() for seeds in self._episode_seeds]))
 
     def step_wait(self) -> StepReturn:
         n_agents = self.task.n_agents
@@ -136,7 +136,7 @@ class AgentVecEnv(OneObjectVecEnv):
                     info = infos[k * n_agents + i]
                     info["terminal_observation"] = observation[k, i].copy()
                     info["is_success"] = info[self.task.success_key]
-            observation = self._env.reset([self._rows[k].draw() for k in ended], ended)
+            observation = self._env.reset([self._episode_seeds[k].draw() for k in ended], ended)
         reward = step.reward.astype(np.float32).ravel()
         return self._by_entry(observation), reward, np.repeat(done, n_agents), infos
 
@@ -174,7 +174,7 @@ class SuperSuitVecEnv(OneObjectVecEnv):
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed the next `reset()`: copy k with seed + k. Returns the seed of each entry's copy."""
         if seed is None:
-            seed = SeedRow().draw()
+            seed = EpisodeSeeds().draw()
         self._seeds = [seed + k for k, n_agents in enumerate(self._agents_per_copy) for _ in range(n_agents)]
         return self._seeds
 

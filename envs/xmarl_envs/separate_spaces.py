@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_envs.chamber import Chamber
+from xmarl_envs.slotted_space import SlottedSpace
 from xmarl_envs.task import Bools, Floats, Task
 
 
@@ -14,7 +14,7 @@ class SeparateSpaces:
 
     def __init__(self, task: Task, n_episodes: int) -> None:
         self._task = task
-        self._chambers: list[Chamber | None] = [None] * n_episodes
+        self._spaces: list[SlottedSpace | None] = [None] * n_episodes
 
     def place(self, episodes: NDArray[np.intp], agents: Floats, walls: Floats) -> None:
         """Begin episodes (E,) with agents (E, N, 2) at rest and walls (E, W, 2).
@@ -22,22 +22,22 @@ class SeparateSpaces:
         Each gets a new Space, so that earlier episodes cannot influence it.
         """
         for row, episode in enumerate(episodes):
-            chamber = self._chambers[episode]
-            if chamber is None:
-                self._chambers[episode] = chamber = Chamber(self._task)
+            space = self._spaces[episode]
+            if space is None:
+                self._spaces[episode] = space = SlottedSpace(self._task)
             else:
-                chamber.renew()
-            chamber.agents[0, :, :2] = agents[row]
-            chamber.agents[0, :, 2:] = 0.0
-            chamber.walls[0, :, :2] = walls[row]
-            chamber.write()
+                space.renew()
+            space.agents[0, :, :2] = agents[row]
+            space.agents[0, :, 2:] = 0.0
+            space.walls[0, :, :2] = walls[row]
+            space.write()
 
     def step(
         self, position: Floats, velocity: Floats, force: Floats, walls: Floats, live: Bools | None
     ) -> None:
         """Advance position and velocity (B, N, 2), in place, under force (B, N, 2)."""
-        for k, chamber in enumerate(self._chambers):
-            if chamber is not None and (live is None or live[k]):
-                chamber.step(force[k])
-                position[k] = chamber.position
-                velocity[k] = chamber.velocity
+        for k, space in enumerate(self._spaces):
+            if space is not None and (live is None or live[k]):
+                space.step(force[k])
+                position[k] = space.position
+                velocity[k] = space.velocity

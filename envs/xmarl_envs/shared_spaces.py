@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_envs.chamber import Chamber
 from xmarl_envs.free_flight import fly, touching
+from xmarl_envs.slotted_space import SlottedSpace
 from xmarl_envs.task import Bools, Floats, Task
 
 FREE, COOLING = -1, -2  # slots without an episode; Chipmunk still remembers contacts of a cooling one
@@ -29,7 +29,7 @@ class SharedSpaces:
     def __init__(self, task: Task, n_episodes: int, largest_space: int) -> None:
         self._task = task
         self._largest_space = largest_space
-        self._chambers: list[tuple[Chamber, slice]] = []  # each with its range of all slots
+        self._spaces: list[tuple[SlottedSpace, slice]] = []  # each with its range of all slots
         self._occupant: NDArray[np.intp] = np.empty(0, dtype=np.intp)  # (slots of all Spaces,) -> episode
         self._slot: NDArray[np.intp] = np.full(n_episodes, NO_SLOT)  # (B,) -> slot
         self._touched: Bools = np.zeros(n_episodes, dtype=np.bool_)  # (B,) in the last step
@@ -54,24 +54,24 @@ class SharedSpaces:
             needs_space &= live
         self._assign_slots(needs_space)
         self._touched = touches
-        for chamber, its_slots in self._chambers:
+        for space, its_slots in self._spaces:
             occupant = self._occupant[its_slots]
             in_use = np.count_nonzero(occupant != FREE)
             if not in_use:
                 continue
             (slots,) = (occupant >= 0).nonzero()
             inside = occupant[slots]
-            offset = chamber.offset[slots]
-            chamber.agents[..., 2:] = 0.0  # slots without an episode come to rest
-            chamber.agents[slots, :, :2] = position[inside] + offset
-            chamber.agents[slots, :, 2:] = velocity[inside]
+            offset = space.offset[slots]
+            space.agents[..., 2:] = 0.0  # slots without an episode come to rest
+            space.agents[slots, :, :2] = position[inside] + offset
+            space.agents[slots, :, 2:] = velocity[inside]
             if self._task.n_walls:
-                chamber.walls[slots, :, :2] = walls[inside] + offset
-            chamber.write()
+                space.walls[slots, :, :2] = walls[inside] + offset
+            space.write()
             thrust = np.zeros((occupant.size, *force.shape[1:]))
             thrust[slots] = force[inside]
-            chamber.step(thrust)
-            real_position, real_velocity = chamber.position[slots] - offset, chamber.velocity[slots]
+            space.step(thrust)
+            real_position, real_velocity = space.position[slots] - offset, space.velocity[slots]
             # An overlap correction left from the last step may have caused another contact.
             off_course = np.abs(real_position - end_position[inside]) > ROUNDING
             off_course |= np.abs(real_velocity - end_velocity[inside]) > ROUNDING
@@ -98,13 +98,13 @@ class SharedSpaces:
         self._slot[leaving] = NO_SLOT
         free = np.flatnonzero(self._occupant == FREE)
         while free.size < entering.size:
-            self._build_chamber(entering.size - free.size)
+            self._build_space(entering.size - free.size)
             free = np.flatnonzero(self._occupant == FREE)
         self._slot[entering] = free[: entering.size]
         self._occupant[free[: entering.size]] = entering
 
-    def _build_chamber(self, n_wanted: int) -> None:
+    def _build_space(self, n_wanted: int) -> None:
         first = self._occupant.size
-        n_slots = min(max(n_wanted, SMALLEST_SPACE * 2 ** len(self._chambers)), self._largest_space)
-        self._chambers.append((Chamber(self._task, n_slots), slice(first, first + n_slots)))
+        n_slots = min(max(n_wanted, SMALLEST_SPACE * 2 ** len(self._spaces)), self._largest_space)
+        self._spaces.append((SlottedSpace(self._task, n_slots), slice(first, first + n_slots)))
         self._occupant = np.append(self._occupant, np.full(n_slots, FREE))

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_envs.chamber import MOVE, TIME_STEP, VELOCITY_KEPT
 from xmarl_envs.separate_spaces import SeparateSpaces
 from xmarl_envs.shared_spaces import SharedSpaces
+from xmarl_envs.slotted_space import MOVE, TIME_STEP, VELOCITY_KEPT
 from xmarl_envs.task import Bools, Floats, Task
 
 __all__ = ["MOVE", "TIME_STEP", "VELOCITY_KEPT", "World"]

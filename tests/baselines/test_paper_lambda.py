@@ -117,7 +117,7 @@ def test_a_run_writes_a_record_and_a_row(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr("xmarl_baselines.report.RECORDS", tmp_path)
     paper_lambda.main(name, iterations=3, episodes=1, out=tmp_path, runs=tmp_path / "runs")
     record = json.loads((tmp_path / f"{name}.json").read_text())
-    assert [look["frames"] for look in record["along"]] == [0, 80, 160]
+    assert [each["frames"] for each in record["along"]] == [0, 80, 160]
     assert record["frames"] == 240
     saved = plain_actor(MAPPO.load(tmp_path / "runs" / name / "model"))
     assert paper_lambda.listening(saved, "blind_navigation_v0", 3) == record["listening"]
@@ -131,10 +131,10 @@ def test_a_run_writes_a_record_and_a_row(tmp_path: Path, monkeypatch: pytest.Mon
 def test_the_first_recorded_attention_is_of_the_untrained_team(tmp_path: Path) -> None:
     short = replace(PAPER_SCHEDULE["blind_discovery_v0"], n_envs=4, n_steps=10, batch_size=40)
     run = Run(short, attention_entropy=50.0)
-    _, looks = paper_lambda.first_iterations(run, 1, tmp_path)
+    _, records = paper_lambda.first_iterations(run, 1, tmp_path)
     model = build(run, seed=0)
     model.learn(1)
     fresh = build(run, seed=0).policy.actor
     seen = torch.from_numpy(model.rollout_buffer.observations).flatten(0, 1)
     attention = fresh.attention(seen).detach().numpy()
-    assert looks[0]["own_share"] == pytest.approx(paper_lambda.own_share(attention))
+    assert records[0]["own_share"] == pytest.approx(paper_lambda.own_share(attention))

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from xmarl_envs import TASKS, Task, make_task
-from xmarl_envs.chamber import Chamber
 from xmarl_envs.free_flight import MOVES, fly, touching
+from xmarl_envs.slotted_space import SlottedSpace
 
 Floats = NDArray[np.float64]
 N_AGENTS, EPISODES = 3, 20
@@ -31,12 +31,12 @@ def in_spaces(
     """The same step by Chipmunk, each episode in its own Space."""
     ends = []
     for k in range(len(position)):
-        chamber = Chamber(task)
-        chamber.agents[0] = np.concatenate([position[k], velocity[k]], axis=-1)
-        chamber.walls[0, :, :2] = walls[k]
-        chamber.write()
-        chamber.step(force[k])
-        ends.append(np.concatenate([chamber.position[0], chamber.velocity[0]], axis=-1))
+        space = SlottedSpace(task)
+        space.agents[0] = np.concatenate([position[k], velocity[k]], axis=-1)
+        space.walls[0, :, :2] = walls[k]
+        space.write()
+        space.step(force[k])
+        ends.append(np.concatenate([space.position[0], space.velocity[0]], axis=-1))
     return np.array(ends)[..., :2], np.array(ends)[..., 2:]
 
 

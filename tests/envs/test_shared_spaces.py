@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from pymunk import Body
 from xmarl_envs import TASKS, VectorEnv, make_task
-from xmarl_envs.chamber import Chamber
 from xmarl_envs.separate_spaces import SeparateSpaces
 from xmarl_envs.shared_spaces import LARGEST_FLYING_TEAM, SharedSpaces
+from xmarl_envs.slotted_space import SlottedSpace
 from xmarl_envs.world import World
 
 Floats = NDArray[np.float64]
@@ -137,48 +137,48 @@ def test_episodes_without_contacts_are_in_no_space() -> None:
     env.reset(range(32))
     env.step(np.zeros((32, 3, 2)))
     assert isinstance(env.world._spaces, SharedSpaces)
-    assert not env.world._spaces._chambers
+    assert not env.world._spaces._spaces
 
 
 @tasks
 def test_writing_a_batch_moves_no_border(name: str) -> None:
     """pymunk.batch also sets Space.static_body, after all others, from the end of the buffer."""
     task = make_task(name, 2)
-    chamber = Chamber(task, 3)
-    chamber.agents[..., 2:] = 1.0
-    chamber.write()
-    static = chamber._space.static_body
+    space = SlottedSpace(task, 3)
+    space.agents[..., 2:] = 1.0
+    space.write()
+    static = space._space.static_body
     assert (static.position, static.velocity) == ((0.0, 0.0), (0.0, 0.0))
-    before = chamber.agents[..., :2].copy()
-    chamber.step(np.zeros((3, 2, 2)))
-    way = chamber.position - before
+    before = space.agents[..., :2].copy()
+    space.step(np.zeros((3, 2, 2)))
+    way = space.position - before
     np.testing.assert_allclose(way, 0.05 * (1 + 0.75**0.5), atol=1e-9)
 
 
 @tasks
 @pytest.mark.parametrize("n_slots", [1, 3, 17])
-def test_a_chamber_s_views_show_its_bodies(name: str, n_slots: int) -> None:
+def test_a_slotted_space_s_views_show_its_bodies(name: str, n_slots: int) -> None:
     """The view of pymunk's memory, created once, stays valid for later Spaces."""
     task = make_task(name, 5)
-    chamber = Chamber(task, n_slots)
+    space = SlottedSpace(task, n_slots)
     rng = np.random.default_rng(0)
     for _ in range(3):
-        chamber.renew()
-        chamber.write()
+        space.renew()
+        space.write()
         for _ in range(20):
-            chamber.step(rng.uniform(-1, 1, chamber.agents[..., :2].shape))
-        discs = [body for body in chamber._space.bodies if body.body_type == Body.DYNAMIC]
-        position = [tuple(at) for at in chamber.position.reshape(-1, 2)]
+            space.step(rng.uniform(-1, 1, space.agents[..., :2].shape))
+        discs = [body for body in space._space.bodies if body.body_type == Body.DYNAMIC]
+        position = [tuple(at) for at in space.position.reshape(-1, 2)]
         assert [tuple(disc.position) for disc in discs] == position
-        assert [tuple(disc.velocity) for disc in discs] == [tuple(v) for v in chamber.velocity.reshape(-1, 2)]
+        assert [tuple(disc.velocity) for disc in discs] == [tuple(v) for v in space.velocity.reshape(-1, 2)]
 
 
 def test_memory_does_not_grow_with_the_number_of_episodes() -> None:
     """pymunk never frees a batch's Buffer: one per episode would leak 0.6 kB each."""
     env = VectorEnv(make_task("blind_navigation_v0", 3))
     env.reset([0])
-    chambers = env.world._spaces
-    assert isinstance(chambers, SeparateSpaces)
-    before = chambers._chambers[0]
+    spaces = env.world._spaces
+    assert isinstance(spaces, SeparateSpaces)
+    before = spaces._spaces[0]
     env.reset([1])
-    assert chambers._chambers[0] is before
+    assert spaces._spaces[0] is before

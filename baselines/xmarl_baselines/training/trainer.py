@@ -123,17 +123,17 @@ def train(
         every=max(1, run.recipe.frames // VALIDATIONS),
         after=run.regularised_from,
     )
-    keeper = _Keeper(folder, checkpoint_every, seconds, report)
+    checkpoints = _Checkpoints(folder, checkpoint_every, seconds, report)
     if frames < run.recipe.frames:
         model.learn(
             run.recipe.frames - frames,
-            callback=[_Caution(run.recipe.caution_growth), selection, keeper],
+            callback=[_Caution(run.recipe.caution_growth), selection, checkpoints],
             reset_num_timesteps=frames == 0,
             tb_log_name=run.name,
         )
         selection.validate()
-        keeper.save()
-        seconds = keeper.seconds
+        checkpoints.save()
+        seconds = checkpoints.seconds
     else:
         selection.init_callback(model)
     policy, validation = selection.best()
@@ -206,7 +206,7 @@ class _Caution(BaseCallback):
         self.training_env.set_attr("caution", 1.0 + (self._growth - 1.0) * done)
 
 
-class _Keeper(BaseCallback):
+class _Checkpoints(BaseCallback):
     """Saves checkpoints and reports progress after every iteration."""
 
     def __init__(self, folder: Path, every: int, seconds: float, report: Report | None) -> None:

@@ -23,7 +23,7 @@ PUSH = np.array(float(CONTACT_CHECKS))  # an array: numpy takes twice as long wi
 STATE, FORCE = BodyFields.POSITION | BodyFields.VELOCITY, BodyFields.FORCE
 
 
-class Chamber:
+class SlottedSpace:
     """One Space with `n_slots` copies of the task, built in a fixed order: agents, walls, borders.
 
     Coordinates are in the Space's frame: slot k has its origin at `offset[k]`, slot 0 at (0, 0). Besides

@@ -7,7 +7,7 @@ from operator import index
 import numpy as np
 
 
-class SeedRow:
+class EpisodeSeeds:
     """Gives `seed` first, then random seeds that follow from it.
 
     Without a seed all are random. Entropy is drawn with the first seed, not before, so copies of an unused

@@ -13,7 +13,7 @@ from xmarl_bench.metrics.table import Group, names_of
 
 DIGITS = 4  # significant; `leaderboard.json` has them all
 # Metrics that the charts show by episode: of the explanation, not of the policy.
-EPISODE_METRICS = names_of(Group.BEHAVIOUR) + names_of(Group.EXPLANATION)
+EPISODE_METRICS = names_of(Group.BEHAVIOUR) + names_of(Group.BEHAVIOUR_UNDER) + names_of(Group.EXPLANATION)
 Json = dict[str, Any]
 Details = dict[tuple[str, int, int], Json]  # by task, team size and max cycles
 

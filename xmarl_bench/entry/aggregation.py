@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +22,15 @@ from xmarl_bench.metrics.table import Group, names_of
 from xmarl_bench.reproducible import derived_seed
 
 BEHAVIOUR = names_of(Group.BEHAVIOUR)
+BEHAVIOUR_UNDER = names_of(Group.BEHAVIOUR_UNDER)
 SANITY = names_of(Group.SANITY)
+
+
+class Acted(NamedTuple):
+    """How many of the first episodes were acted out on an explanation."""
+
+    zero: int  # under the absence model zero
+    others: int  # of these under the others too
 
 
 def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summary:
@@ -42,15 +51,16 @@ def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summa
 
 def metrics_of_cell(cell: CellResult, seed: int) -> Metrics:
     """A cell's metrics, derived again from its rows."""
-    return cell_metrics(cell.episodes, seed, cell.not_measured, cell.behaviour_episodes)
+    acted = Acted(cell.behaviour_episodes, cell.absence_behaviour_episodes or 0)
+    return cell_metrics(cell.episodes, seed, cell.not_measured, acted)
 
 
 def cell_metrics(
-    rows: Sequence[EpisodeRow], seed: int, not_measured: Mapping[str, str], behaviour_episodes: int
+    rows: Sequence[EpisodeRow], seed: int, not_measured: Mapping[str, str], acted: Acted
 ) -> Metrics:
     """Aggregate rows; the resampling of a metric's interval depends on its name and the run's seed alone."""
     values = {name: [getattr(row, name) for row in rows] for name in Metrics.model_fields}
-    return Metrics.model_validate(_summaries(values, seed, not_measured, behaviour_episodes))
+    return Metrics.model_validate(_summaries(values, seed, not_measured, acted))
 
 
 def control_metrics(
@@ -58,29 +68,33 @@ def control_metrics(
     played: Sequence[BehaviourRow],
     seed: int,
     not_measured: Mapping[str, str],
+    absences: int = 0,
 ) -> ControlMetrics:
     """Aggregate a control's episodes.
 
-    played: of the first episodes, those that the team was rolled out in; empty is not measured.
+    played: of the first episodes, those that the team was rolled out in; absences: how many of these under
+    other absence models too. What was played in no episode is not measured.
     """
-    absent = {} if played else dict.fromkeys(BEHAVIOUR, "")
     values = {name: [getattr(row, name) for row in rows] for name in ExplanationRow.model_fields}
-    values |= {name: [getattr(row, name) for row in played] for name in BEHAVIOUR}
-    return ControlMetrics.model_validate(_summaries(values, seed, {**not_measured, **absent}, len(played)))
+    values |= {name: [getattr(row, name) for row in played] for name in BehaviourRow.model_fields}
+    return ControlMetrics.model_validate(_summaries(values, seed, not_measured, Acted(len(played), absences)))
 
 
 def _summaries(
     values: Mapping[str, list[float | None]],
     seed: int,
     not_measured: Mapping[str, str],
-    behaviour_episodes: int,
+    acted: Acted,
 ) -> dict[str, Summary | None]:
-    first = {**dict.fromkeys(SANITY, SANITY_EPISODES), **dict.fromkeys(BEHAVIOUR, behaviour_episodes)}
+    first = {
+        **dict.fromkeys(SANITY, SANITY_EPISODES),
+        **dict.fromkeys(BEHAVIOUR, acted.zero),
+        **dict.fromkeys(BEHAVIOUR_UNDER, acted.others),
+    }
+    counted = {name: series[: first.get(name)] for name, series in values.items()}
     return {
-        name: None
-        if name in not_measured
-        else summarise(
-            series[: first.get(name)], np.random.default_rng(derived_seed("bootstrap", seed, name))
-        )
-        for name, series in values.items()
+        name: summarise(series, np.random.default_rng(derived_seed("bootstrap", seed, name)))
+        if series and name not in not_measured
+        else None
+        for name, series in counted.items()
     }

@@ -14,6 +14,8 @@ PROTOCOL: Final = "xmarl-3"
 # What is checked of an explainer's sanity: the first episodes of a run, timesteps evenly spaced in each.
 SANITY_EPISODES: Final = 5
 SANITY_TIMESTEPS: Final = 20
+# Of the episodes that are played on an explanation, so many also under the absence models other than zero.
+ABSENCE_EPISODES: Final = 10
 
 DEFINITIONS: dict[str, str] = {
     "F(m)": "action tanh(loc) in [-1, 1] with the message on edge j -> i scaled by m[i, j] after the "

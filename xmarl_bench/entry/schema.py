@@ -107,6 +107,15 @@ class MetricsMeans(Record):
         def __getattr__(self, name: str) -> Summary | Any: ...
 
 
+def left_out() -> Any:
+    """The default of a field that is None in older entries: left out of the text then, so ids stay."""
+    return Field(default=None, exclude_if=_is_none)
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 def _row_type(metric: Metric) -> Any:
     low, high = metric.range.low, metric.range.high
     least = metric.range.least if low is None else low - ROUNDING
@@ -119,10 +128,13 @@ def _mean_type(metric: Metric) -> Any:
 
 
 def of_metrics(type_of: Callable[[Metric], Any], *groups: Group) -> Callable[[type[R]], type[R]]:
-    """Class decorator: the model with a required field for each metric of these groups after its own."""
+    """Class decorator: the model with a field for each metric of these groups after its own."""
 
     def extend(model: type[R]) -> type[R]:
-        fields: dict[str, Any] = {metric.name: (type_of(metric), ...) for metric in metrics_of(*groups)}
+        fields: dict[str, Any] = {
+            metric.name: (type_of(metric), left_out() if metric.optional else ...)
+            for metric in metrics_of(*groups)
+        }
         return create_model(
             model.__name__, __base__=model, __doc__=model.__doc__, __module__=model.__module__, **fields
         )
@@ -135,7 +147,7 @@ class ExplanationRow(MetricsRow):
     """What a mask scores on one episode. A metric is null where it is not a number."""
 
 
-@of_metrics(_row_type, Group.BEHAVIOUR)
+@of_metrics(_row_type, Group.BEHAVIOUR, Group.BEHAVIOUR_UNDER)
 class BehaviourRow(MetricsRow):
     """How the team did on the explanation and on the rest; null in episodes that were not played so."""
 
@@ -177,7 +189,7 @@ class ExplanationMetrics(MetricsMeans):
     """The means of `ExplanationRow`; null where a metric was not measured."""
 
 
-@of_metrics(_mean_type, Group.BEHAVIOUR)
+@of_metrics(_mean_type, Group.BEHAVIOUR, Group.BEHAVIOUR_UNDER)
 class BehaviourMetrics(MetricsMeans):
     """The means of `BehaviourRow`, over the episodes that were played so; null where none was."""
 
@@ -199,6 +211,7 @@ class CellResult(Record):
     not_measured: Annotated[dict[Name, Text], Field(max_length=100)]  # metric -> why it is null
     controls: Annotated[dict[Name, ControlMetrics], Field(max_length=100)]
     behaviour_episodes: Count  # the first so many were also played on the explanation and on the complement
+    absence_behaviour_episodes: Count | None = left_out()  # and of these so many under other absence models
     episodes: tuple[EpisodeRow, ...]
 
 

@@ -30,13 +30,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_bench.explain.fitting import fit_states
-from xmarl_bench.explain.oracle import (
-    binary_rows,
-    change_from_last,
-    check_oracle,
-    chunks,
-    why_no_oracle,
-)
+from xmarl_bench.explain.oracle import binary_rows, change_from_last, check_oracle, chunks
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy, Policy
 from xmarl_bench.policy.distribution import ActionDistribution
@@ -50,9 +44,7 @@ def reference_states(policy: Policy, task: str, n_agents: int) -> Tensor | None:
 
     The same for every explainer and every sampling.
     """
-    if not isinstance(policy, GraphPolicy) or why_no_oracle(policy, n_agents) is not None:
-        return None
-    return fit_states(policy, task, n_agents)
+    return fit_states(policy, task, n_agents) if isinstance(policy, GraphPolicy) else None
 
 
 def message_rows(n_agents: int) -> Tensor:
@@ -80,37 +72,42 @@ def message_table(
     rows = message_rows(n_agents)[:, None]
     change = np.empty((len(rows), n_steps, n_agents))
     with torch.no_grad():
-        stand_ins = list(_stand_ins(policy, absence, reference, n_steps, rng))
+        replaced = list(stand_ins(absence, policy.prepare(reference).message, (DRAWS, n_steps), rng))
         for steps in chunks(n_steps, n_agents, len(rows)):
             prepared = policy.prepare(observations[steps])
+            masks = rows.expand(-1, len(prepared.attention), -1, -1)
             tables = [
-                _decode(policy, prepared, rows, absence, None if each is None else each[steps])
-                for each in stand_ins
+                step_under(policy, prepared, masks, absence, None if each is None else each[steps])[0]
+                for each in replaced
             ]
             change[:, steps] = np.mean([change_from_last(table) for table in tables], axis=0)
     return change
 
 
-def _stand_ins(
-    policy: GraphPolicy, absence: Absence, reference: Tensor, n_steps: int, rng: np.random.Generator
+def stand_ins(
+    absence: Absence, messages: Tensor, draws: tuple[int, int], rng: np.random.Generator
 ) -> Iterator[Tensor | None]:
-    """(S, N, W) replacements, one for each effect that is averaged."""
+    """(S, N, W) replacements, one for each effect that is averaged; None: nothing.
+
+    messages: (Q, N, W) of the reference states. draws: (K, S), K draws for each of S timesteps.
+    """
     if absence in (Absence.ZERO, Absence.RENORMALISED):
         yield None
-        return
-    messages = policy.prepare(reference).message
-    if absence is Absence.MEAN:
-        yield messages.mean(dim=0).expand(n_steps, -1, -1)
-        return
-    for drawn in rng.integers(len(messages), size=(DRAWS, n_steps)):
-        yield messages[torch.from_numpy(drawn)]
+    elif absence is Absence.MEAN:
+        yield messages.mean(dim=0).expand(draws[1], -1, -1)
+    else:
+        for drawn in rng.integers(len(messages), size=draws):
+            yield messages[torch.from_numpy(drawn)]
 
 
-def _decode(
-    policy: GraphPolicy, prepared: Prepared, rows: Tensor, absence: Absence, stand_in: Tensor | None
-) -> ActionDistribution:
-    mask = rows.expand(-1, len(prepared.attention), -1, -1)
+def step_under(
+    policy: GraphPolicy, prepared: Prepared, mask: Tensor, absence: Absence, stand_in: Tensor | None
+) -> tuple[ActionDistribution, Tensor]:
+    """F(m) under an absence model, and what agents remember at the next timestep.
+
+    mask: (..., S, N, N), own edges kept. stand_in: (S, N, W) of `stand_ins`.
+    """
     if absence is Absence.RENORMALISED:
         heard = (mask * prepared.attention).sum(dim=-1, keepdim=True)
         mask = mask / heard.clamp_min(torch.finfo(heard.dtype).tiny)
-    return policy.decode(prepared, mask, stand_in)
+    return policy.decode_step(prepared, mask, stand_in)

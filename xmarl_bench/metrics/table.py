@@ -19,13 +19,14 @@ class Group(StrEnum):
 
     EXPLANATION = "of an explanation"  # a mask, on the states of an episode
     BEHAVIOUR = "of behaviour"  # the team, rolled out on the explanation and on its complement
+    BEHAVIOUR_UNDER = "of behaviour under the other absence models"
     SANITY = "of an explainer's sanity"
     POLICY = "of the policy"
     GAIN = "of the gain from messages"
     TASK = "of the task"
 
 
-OF_EXPLAINERS: Final = (Group.EXPLANATION, Group.BEHAVIOUR, Group.SANITY)
+OF_EXPLAINERS: Final = (Group.EXPLANATION, Group.BEHAVIOUR, Group.BEHAVIOUR_UNDER, Group.SANITY)
 OF_POLICIES: Final = (Group.POLICY, Group.GAIN, Group.TASK)
 
 
@@ -93,6 +94,7 @@ class Metric:
     digits: int = 3  # shown after the decimal point
     of_categoricals: str | None = None  # the definition for discrete actions, if it differs
     in_paper: bool = False  # one of the paper's four metrics, which every ranking shows
+    optional: bool = False  # entries from before it was measured lack it, and keep their ids
 
     @property
     def nullable(self) -> bool:
@@ -108,6 +110,7 @@ HIGHER, LOWER = Direction.HIGHER, Direction.LOWER
 ORDER: Final = "message_fidelity"  # the leaderboard's order
 # Communication-only budgeted fidelity under each absence model, zero first: `ORDER` is their mean.
 UNDER_ABSENCES: Final = tuple(f"{absence.prefix}_budgeted_fidelity" for absence in Absence)
+OTHER_ABSENCES: Final = tuple(absence for absence in Absence if absence is not Absence.ZERO)
 SUCCESS: Final = "success_rate"
 GAINS: Final = {"success_gain": "success_rate", "reward_gain": "reward"}  # gain -> task metric
 
@@ -140,6 +143,26 @@ def _under(absence: str, meaning: str) -> Metric:
         f"comm_budgeted_fidelity under the absence model {absence}", Group.EXPLANATION, BUDGETED, HIGHER,
         needs=(Need.THREE_AGENTS, Need.ORACLE, Need.COEFFICIENTS), column=2,
     )  # fmt: skip
+
+
+def _acted_under(base: Metric, column: int | None = None) -> tuple[Metric, ...]:
+    """A metric of behaviour, `base` under zero, under each of the other absence models."""
+    return tuple(
+        replace(
+            base,
+            name=f"{absence}_{base.name}",
+            title=f"{base.title}, {absence}",
+            meaning=f"{base.title} under the absence model {absence}",
+            definition=f"{base.name} under the absence model {absence} at every step (resample: one draw for "
+            "each team and step), of the first 10 episodes",
+            group=Group.BEHAVIOUR_UNDER,
+            needs=(*base.needs, Need.COEFFICIENTS),
+            column=column,
+            short=None,
+            optional=True,
+        )
+        for absence in OTHER_ABSENCES
+    )
 
 
 _FID_PLUS = Metric(
@@ -175,6 +198,24 @@ _BUDGETED_FIDELITY = Metric(
     "all k-subsets of a row and oracle@k the maximum; each averaged over agents and timesteps of the "
     "episode before dividing; a k whose denominator is under 0.001 is left out, null where none is left",
     Group.EXPLANATION, BUDGETED, HIGHER, needs=(Need.TWO_AGENTS, Need.ORACLE), column=3,
+)  # fmt: skip
+_SUCCESS_ON_EXPLANATION = Metric(
+    "success_on_explanation", "success on explanation",
+    "success of a team that hears the explanation only",
+    "success_rate where the team communicates only along the k = floor((N - 1) / 2) highest messages of "
+    "each row of the explanation of its own states; own edges are kept",
+    Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED,), column=3, short="success on mask",
+)  # fmt: skip
+_SUCCESS_ON_COMPLEMENT = Metric(
+    "success_on_complement", "success on complement",
+    "success of a team that hears the complement only",
+    "the same, communicating only along the other messages",
+    Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3, short="on complement",
+)  # fmt: skip
+_BEHAVIOURAL_FIDELITY = Metric(
+    "behavioural_fidelity", "behavioural fidelity", "difference of the two successes",
+    "success_on_explanation - success_on_complement",
+    Group.BEHAVIOUR, CORRELATION, HIGHER, needs=(Need.PLAYED,),
 )  # fmt: skip
 
 METRICS: tuple[Metric, ...] = (
@@ -217,19 +258,8 @@ METRICS: tuple[Metric, ...] = (
         Group.EXPLANATION, BUDGETED, HIGHER, needs=(Need.THREE_AGENTS, Need.ORACLE), column=2,
         short="smallest",
     ),
-    Metric(
-        "success_on_explanation", "success on explanation",
-        "success of a team that hears the explanation only",
-        "success_rate where the team communicates only along the k = floor((N - 1) / 2) highest messages of "
-        "each row of the explanation of its own states; own edges are kept",
-        Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED,), column=3, short="success on mask",
-    ),
-    Metric(
-        "success_on_complement", "success on complement",
-        "success of a team that hears the complement only",
-        "the same, communicating only along the other messages",
-        Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3, short="on complement",
-    ),
+    _SUCCESS_ON_EXPLANATION,
+    _SUCCESS_ON_COMPLEMENT,
     Metric(
         "reward_on_explanation", "reward on explanation", "reward of a team that hears the explanation only",
         "reward of the team on the explanation",
@@ -252,11 +282,10 @@ METRICS: tuple[Metric, ...] = (
         "no_agent_collision of the team on the complement",
         Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3,
     ),
-    Metric(
-        "behavioural_fidelity", "behavioural fidelity", "difference of the two successes",
-        "success_on_explanation - success_on_complement",
-        Group.BEHAVIOUR, CORRELATION, HIGHER, needs=(Need.PLAYED,),
-    ),
+    _BEHAVIOURAL_FIDELITY,
+    *_acted_under(_SUCCESS_ON_EXPLANATION),
+    *_acted_under(_SUCCESS_ON_COMPLEMENT),
+    *_acted_under(_BEHAVIOURAL_FIDELITY, 3),
     Metric(
         "seed_stability", "seed stability", "rank correlation of the masks of several seeds",
         "rank correlation of the masks of 3 seeds, mean over pairs; null where the explainer is not "
@@ -320,6 +349,9 @@ METRICS: tuple[Metric, ...] = (
         Group.TASK, NOT_NEGATIVE, LOWER, "steps", column=1, short="makespan", digits=0,
     ),
 )  # fmt: skip
+
+
+OPTIONAL: Final = tuple(each.name for each in METRICS if each.optional)
 
 
 def metrics_of(*groups: Group) -> tuple[Metric, ...]:

@@ -92,12 +92,17 @@ class GraphPolicy(Policy):
         mask: (..., S, N, N) in [0, 1], any leading axes; None: the mask of ones.
         stand_in: (S, N, W) or (N, W), added as sum_j (1 - m_ij) alpha_ij stand_in_j; None: 0.
         """
-        return self.head(self._heard(prepared, mask, stand_in), prepared.memory)[0]
+        return self.decode_step(prepared, mask, stand_in)[0]
 
     def step(self, observation: Tensor, mask: Tensor | None = None) -> tuple[ActionDistribution, Tensor]:
         """(S, N, D) -> F(m), and (S, N, H): what agents remember at the next timestep."""
-        prepared = self.prepare(observation)
-        return self.head(self._heard(prepared, mask), prepared.memory)
+        return self.decode_step(self.prepare(observation), mask)
+
+    def decode_step(
+        self, prepared: Prepared, mask: Tensor | None = None, stand_in: Tensor | None = None
+    ) -> tuple[ActionDistribution, Tensor]:
+        """As `decode`, and (..., S, N, H): what agents remember at the next timestep."""
+        return self.head(self._heard(prepared, mask, stand_in), prepared.memory)
 
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N): the layer's coefficients."""

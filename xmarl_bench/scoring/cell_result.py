@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import torch
 from xmarl_envs import TASKS
 
-from xmarl_bench.entry.aggregation import BEHAVIOUR, SANITY, cell_metrics, control_metrics
+from xmarl_bench.entry.aggregation import SANITY, Acted, cell_metrics, control_metrics
 from xmarl_bench.entry.schema import BehaviourRow, CellResult, ControlMetrics, Cost, EpisodeRow, SanityRow
 from xmarl_bench.explain.controls import INVERTED, RANDOM
 from xmarl_bench.metrics.table import GAINS
@@ -24,7 +24,7 @@ from xmarl_bench.scoring.states import number
 
 # Cells whose controls stay in memory for the next entry: explainers of a policy come one after another.
 KEPT = 4
-NOT_PLAYED = BehaviourRow.model_validate(dict.fromkeys(BEHAVIOUR))
+NOT_PLAYED = BehaviourRow.model_validate(dict.fromkeys(BehaviourRow.model_fields))
 NOT_CHECKED = SanityRow.model_validate(dict.fromkeys(SANITY))
 
 
@@ -44,7 +44,8 @@ class Controls:
         reasons: Mapping[str, str],
     ) -> dict[str, ControlMetrics]:
         """Means of all controls but the inverted mask, which depends on the explainer."""
-        key = tuple(piece.key for piece in (*needed.shared, *needed.random_behaviour))
+        random = (*needed.random_behaviour, *needed.random_absences)
+        key = tuple(piece.key for piece in (*needed.shared, *random))
         if key not in self.known:
             played = random_behaviour[: request.behaviours(cell)]
             self.known[key] = {
@@ -53,6 +54,7 @@ class Controls:
                     played if name == RANDOM else (),
                     request.sampling.seed,
                     reasons,
+                    request.absence_behaviours(cell) if name == RANDOM else 0,
                 )
                 for name in shared[0].controls
             }
@@ -70,26 +72,32 @@ def cell_result(
     mute = [each for piece in needed.mute for each in results.episodes(piece)]
     shared = [each for piece in needed.shared for each in results.shared(piece)]
     explained = [each for piece in needed.explained for each in results.explained(piece)]
-    played = [results.played(piece) for piece in needed.behaviour]
+    played, absences, by_chance, by_chance_absences = (
+        [results.played(piece) for piece in pieces]
+        for pieces in (needed.behaviour, needed.absences, needed.random_behaviour, needed.random_absences)
+    )
     reasons = not_measured(request, cell, torch.tensor(episodes[0].observations[:1]))
     rows = tuple(
         episode_row(cell, *parts)
-        for parts in zip(episodes, mute, shared, explained, _behaviours(played, len(episodes)), strict=True)
+        for parts in zip(
+            episodes, mute, shared, explained, _behaviours(played, absences, len(episodes)), strict=True
+        )
     )
-    by_chance = _behaviours([results.played(piece) for piece in needed.random_behaviour], len(episodes))
+    floor = _behaviours(by_chance, by_chance_absences, len(episodes))
     inverted = control_metrics([each.inverted for each in explained], (), sampling.seed, reasons)
-    n_played = request.behaviours(cell)
+    acted = Acted(request.behaviours(cell), request.absence_behaviours(cell))
     result = CellResult(
         task=cell.task,
         n_agents=cell.n_agents,
         max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
-        metrics=cell_metrics(rows, sampling.seed, reasons, n_played),
+        metrics=cell_metrics(rows, sampling.seed, reasons, acted),
         not_measured=reasons,
-        controls={**controls.of(request, cell, needed, shared, by_chance, reasons), INVERTED: inverted},
-        behaviour_episodes=n_played,
+        controls={**controls.of(request, cell, needed, shared, floor, reasons), INVERTED: inverted},
+        behaviour_episodes=acted.zero,
+        absence_behaviour_episodes=acted.others,
         episodes=rows,
     )
-    return result, _cost(shared, explained, played)
+    return result, _cost(shared, explained, played + absences)
 
 
 def total_cost(costs: Sequence[Cost]) -> Cost:
@@ -119,9 +127,14 @@ def _cost(shared: Sequence[Shared], explained: Sequence[Explained], played: Sequ
     )
 
 
-def _behaviours(played: Sequence[Played], episodes: int) -> list[BehaviourRow]:
-    """A row for each episode; NOT_PLAYED for those without a rollout."""
-    rows = [each for block in played for each in block.rows]
+def _behaviours(played: Sequence[Played], absences: Sequence[Played], episodes: int) -> list[BehaviourRow]:
+    """A row for each episode, from its rollouts under zero and the other models; NOT_PLAYED without."""
+    under = [
+        {name: value for name, value in row if value is not None} for block in absences for row in block.rows
+    ]
+    rows = [row for block in played for row in block.rows]
+    for k, more in enumerate(under):
+        rows[k] = rows[k].model_copy(update=more)
     return rows + [NOT_PLAYED] * (episodes - len(rows))
 
 

@@ -2,8 +2,8 @@
 
 A piece is one kind of work on a block of consecutive episodes of a policy: playing them; playing them without
 messages (`mute`); measuring what needs no explainer (`shared`); explaining them with one explainer; or
-rolling the team out on an explainer's masks (`behaviour`). Requests that need the same piece share it, within
-a run and between runs.
+rolling the team out on an explainer's masks, under the absence model zero (`behaviour`) or under the others
+(`absences`). Requests that need the same piece share it, within a run and between runs.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
+from xmarl_bench.entry.protocol import ABSENCE_EPISODES
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import BLOCK, Cell
 from xmarl_bench.scoring.behaviour import BLOCK as BEHAVIOUR_BLOCK
 from xmarl_bench.scoring.piece_keys import Keys, piece_key
 from xmarl_bench.scoring.request import Request
 
-Kind = Literal["episodes", "mute", "shared", "explained", "behaviour"]
+Kind = Literal["episodes", "mute", "shared", "explained", "behaviour", "absences"]
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,9 @@ class Needs:
     shared: tuple[Piece, ...]
     explained: tuple[Piece, ...]
     behaviour: tuple[Piece, ...]  # empty if the request does not ask for it
+    absences: tuple[Piece, ...]  # the first of these episodes under the other absence models
     random_behaviour: tuple[Piece, ...]  # on messages chosen at random
+    random_absences: tuple[Piece, ...]
 
     def __iter__(self) -> Iterator[Piece]:
         yield from self.episodes
@@ -88,7 +91,9 @@ class Needs:
         yield from self.shared
         yield from self.explained
         yield from self.behaviour
+        yield from self.absences
         yield from self.random_behaviour
+        yield from self.random_absences
 
 
 def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
@@ -103,7 +108,12 @@ def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
         )
 
     episodes = played("episodes")
-    acted = tuple(blocks(environment, sampling.seeds[:n_played], BEHAVIOUR_BLOCK))
+    acted: dict[Kind, tuple[Block, ...]] = {
+        "behaviour": tuple(blocks(environment, sampling.seeds[:n_played], BEHAVIOUR_BLOCK)),
+        "absences": tuple(
+            blocks(environment, sampling.seeds[: request.absence_behaviours(cell)], ABSENCE_EPISODES)
+        ),
+    }
 
     def explained(kind: Kind, by: str | None, *keys: str) -> tuple[Piece, ...]:
         t = sampling.timesteps
@@ -111,10 +121,9 @@ def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
             Piece(kind, of.block, t, by, piece_key(kind, *of.block.key(), t, *keys), of) for of in episodes
         )
 
-    def behaviour(by: str | None, *keys: str) -> tuple[Piece, ...]:
+    def behaviour(kind: Kind, by: str | None, *keys: str) -> tuple[Piece, ...]:
         return tuple(
-            Piece("behaviour", block, None, by, piece_key("behaviour", *block.key(), *keys))
-            for block in acted
+            Piece(kind, block, None, by, piece_key(kind, *block.key(), *keys)) for block in acted[kind]
         )
 
     return Needs(
@@ -123,8 +132,10 @@ def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
         played("mute"),
         explained("shared", None, f"initial seed {request.card.initial_seed}"),
         explained("explained", name, its_key),
-        behaviour(name, its_key),
-        behaviour(None),
+        behaviour("behaviour", name, its_key),
+        behaviour("absences", name, its_key),
+        behaviour("behaviour", None),
+        behaviour("absences", None),
     )
 
 

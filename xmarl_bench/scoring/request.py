@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 from xmarl_envs.actions import action_width
 
+from xmarl_bench.entry.protocol import ABSENCE_EPISODES
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.policy import GraphPolicy, Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.scoring.behaviour import why_no_behaviour
 
@@ -41,6 +42,10 @@ class Request:
         if self.behaviour_episodes is None:
             return 0 if self.explainer.slow else self.sampling.episodes
         return min(self.behaviour_episodes, self.sampling.episodes)
+
+    def absence_behaviours(self, cell: Cell) -> int:
+        """How many of these also under absence models other than zero, which need known coefficients."""
+        return min(self.behaviours(cell), ABSENCE_EPISODES) if isinstance(self.policy, GraphPolicy) else 0
 
 
 def check_fit(card: PolicyCard, cell: Cell) -> None:

@@ -27,6 +27,7 @@ JSON: dict[Kind, TypeAdapter[Any]] = {
     "shared": TypeAdapter(list[Shared]),
     "explained": TypeAdapter(list[Explained]),
     "behaviour": TypeAdapter(Played),
+    "absences": TypeAdapter(Played),
 }
 PLAYED: tuple[Kind, ...] = ("episodes", "mute")
 MEMORY = 64 * 2**20  # bytes, by the size of their files

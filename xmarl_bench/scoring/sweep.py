@@ -218,6 +218,7 @@ class Sweep:
         return BehaviourBlock(
             environment.policy, explainer, environment.cell.task, environment.cell.n_agents,
             piece.block.seeds, environment.seed, environment.max_cycles,
+            self._reference(environment) if piece.kind == "absences" else None,
         )  # fmt: skip
 
     def _settle(self, piece: Piece, result: object) -> Piece:

@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 from xmarl_envs import TASKS
 
-from xmarl_bench.entry.aggregation import BEHAVIOUR, SANITY
-from xmarl_bench.entry.protocol import SANITY_EPISODES, definitions
+from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER, SANITY
+from xmarl_bench.entry.protocol import ABSENCE_EPISODES, SANITY_EPISODES, definitions
 from xmarl_bench.entry.schema import (
     BudgetRow,
     CellResult,
@@ -27,7 +27,7 @@ from xmarl_bench.entry.schema import (
     Summary,
 )
 from xmarl_bench.metrics.budgeted_fidelity import budgeted_fidelity, over_absences
-from xmarl_bench.metrics.table import UNDER_ABSENCES
+from xmarl_bench.metrics.table import OPTIONAL, OTHER_ABSENCES, UNDER_ABSENCES
 from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import episode_seeds
 
@@ -37,6 +37,8 @@ FLOORS = {"all-ones", "zeros", RANDOM, "bernoulli", "self", INVERTED, "nearest"}
 OF_KNOWN_ORIGIN = {"initial-attention"}  # where the card gives the seed of the initial weights
 CEILINGS = {ORACLE, "soft-oracle"}
 CLOSE = 1e-9  # relative to the larger of 1 and the number: sums are taken in another order
+BEHAVIOURAL = ("behavioural_fidelity", "success_on_explanation", "success_on_complement")
+PREFIXES = ("", *(f"{absence}_" for absence in OTHER_ABSENCES))
 ALIKE = 1e-5  # actions of the same mask in another batch
 # The range of a mean is that of what it is taken of.
 RANGES: dict[str, TypeAdapter[float | None]] = {
@@ -73,7 +75,7 @@ IDENTITIES: tuple[tuple[str, str, float | str], ...] = (
 def entry_findings(entry: Entry) -> Iterator[str]:
     """Sentences, none where all is well."""
     protocol, seed = entry.protocol, entry.explainer.seed
-    if protocol.definitions != definitions(entry.policy.architecture.distribution):
+    if protocol.definitions != _definitions(entry):
         yield f"protocol.definitions are not those of {protocol.id}."
     if list(protocol.seeds) != episode_seeds(seed, protocol.episodes):
         yield f"protocol.seeds are not those of seed {seed} and {protocol.episodes} episodes."
@@ -86,6 +88,21 @@ def entry_findings(entry: Entry) -> Iterator[str]:
     for k, cell in enumerate(entry.results):
         for finding in _cell_findings(entry, cell):
             yield f"results.{k} ({cell.task}, {cell.n_agents} agents): {finding}"
+
+
+def _definitions(entry: Entry) -> dict[str, str]:
+    """Those of the protocol; an entry need not define optional metrics that it lacks."""
+    lacking = {name for name in OPTIONAL if all(lacks(cell, name) for cell in entry.results)}
+    return {
+        name: text
+        for name, text in definitions(entry.policy.architecture.distribution).items()
+        if name in entry.protocol.definitions or name not in lacking
+    }
+
+
+def lacks(cell: CellResult, name: str) -> bool:
+    """Whether a cell has neither a value of a metric nor the reason why there is none."""
+    return getattr(cell.metrics, name) is None and name not in cell.not_measured
 
 
 def _cell_findings(entry: Entry, cell: CellResult) -> Iterator[str]:
@@ -105,6 +122,11 @@ def _cell_findings(entry: Entry, cell: CellResult) -> Iterator[str]:
         yield f"not_measured names {shown(min(unknown))}, which is no metric."
     if (cell.behaviour_episodes == 0) != (BEHAVIOUR[0] in cell.not_measured):
         yield f"behaviour_episodes is {cell.behaviour_episodes}, which not_measured contradicts."
+    under = cell.absence_behaviour_episodes
+    if (under == 0) != (BEHAVIOUR_UNDER[0] in cell.not_measured):
+        yield f"absence_behaviour_episodes is {under}, which not_measured contradicts."
+    if under and under != min(cell.behaviour_episodes, ABSENCE_EPISODES):
+        yield f"absence_behaviour_episodes is {under}, of {cell.behaviour_episodes} behaviour_episodes."
     if cell.behaviour_episodes > len(cell.episodes):
         yield f"behaviour_episodes is {cell.behaviour_episodes}, there are {len(cell.episodes)} episodes."
     for k, row in enumerate(cell.episodes):
@@ -141,6 +163,8 @@ def _row_findings(entry: Entry, cell: CellResult, row: EpisodeRow, k: int) -> It
     absent = [name for name in cell.not_measured if getattr(row, name, None) is not None]
     if k >= cell.behaviour_episodes:
         absent += [name for name in BEHAVIOUR if getattr(row, name) is not None]
+    if k >= (cell.absence_behaviour_episodes or 0):
+        absent += [name for name in BEHAVIOUR_UNDER if getattr(row, name) is not None]
     if k >= SANITY_EPISODES:
         absent += [name for name in SANITY if getattr(row, name) is not None]
     if absent:
@@ -151,7 +175,7 @@ def _differences(row: EpisodeRow) -> Iterator[str]:
     for difference, more, less in (
         ("fid_delta", "fid_plus", "fid_minus"),
         ("comm_fid_delta", "comm_fid_plus", "comm_fid_minus"),
-        ("behavioural_fidelity", "success_on_explanation", "success_on_complement"),
+        *(tuple(prefix + name for name in BEHAVIOURAL) for prefix in PREFIXES),
     ):
         values = [getattr(row, name) for name in (difference, more, less)]
         if None not in values and not close(values[0], values[1] - values[2]):
@@ -208,13 +232,20 @@ def _control_findings(cell: CellResult) -> Iterator[str]:
 
 
 def _summaries_findings(cell: CellResult, name: str, control: ControlMetrics) -> Iterator[str]:
-    absent = set(cell.not_measured) if name == RANDOM else set(cell.not_measured) | set(BEHAVIOUR)
-    for metric in ControlMetrics.model_fields:
-        summary: Summary | None = getattr(control, metric)
-        if (summary is None) != (metric in absent):
-            yield f"{metric} contradicts what was measured."
-        elif summary is not None:
-            n = cell.behaviour_episodes if metric in BEHAVIOUR else len(cell.episodes)
+    acted = {
+        **dict.fromkeys(BEHAVIOUR, cell.behaviour_episodes),
+        **dict.fromkeys(BEHAVIOUR_UNDER, cell.absence_behaviour_episodes or 0),
+    }
+    absent = {each for each, n in acted.items() if name != RANDOM or n == 0} | set(cell.not_measured)
+    summaries: dict[str, Summary | None] = {
+        metric: getattr(control, metric) for metric in ControlMetrics.model_fields
+    }
+    wrong = [metric for metric, summary in summaries.items() if (summary is None) != (metric in absent)]
+    if wrong:  # the first is enough
+        yield f"{wrong[0]} contradicts what was measured."
+    for metric, summary in summaries.items():
+        if summary is not None and metric not in absent:
+            n = acted.get(metric, len(cell.episodes))
             if summary.n + summary.n_nan != n:
                 yield f"{metric} is of {summary.n + summary.n_nan} episodes, expected {n}."
             yield from _summary_findings(metric, summary)

@@ -11,6 +11,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from xmarl_bench.entry.schema import Entry, EpisodeRow, Record
+from xmarl_bench.metrics.table import OPTIONAL
 from xmarl_bench.records.field_types import Count, Sha256, Text
 
 BUNDLE_VERSION: Final = 1
@@ -42,13 +43,18 @@ def file_records(files: Mapping[str, bytes]) -> dict[str, FileRecord]:
 def rows_csv(entry: Entry) -> bytes:
     """An entry's episodes for spreadsheets: one line each, nothing where the entry has null.
 
-    Numbers are written so that they read back to the bit.
+    Numbers are written so that they read back to the bit. Columns that an older entry has not are left out.
     """
+    episodes = [(cell, row) for cell in entry.results for row in cell.episodes]
+    columns = [
+        name
+        for name in ROW_COLUMNS
+        if name not in OPTIONAL or any(getattr(row, name) is not None for _, row in episodes)
+    ]
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["task", "n_agents", *ROW_COLUMNS])
-    for cell in entry.results:
-        for row in cell.episodes:
-            values = [getattr(row, name) for name in ROW_COLUMNS]
-            writer.writerow([cell.task, cell.n_agents, *("" if each is None else each for each in values)])
+    writer.writerow(["task", "n_agents", *columns])
+    for cell, row in episodes:
+        values = [getattr(row, name) for name in columns]
+        writer.writerow([cell.task, cell.n_agents, *("" if each is None else each for each in values)])
     return text.getvalue().encode()

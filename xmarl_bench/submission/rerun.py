@@ -2,24 +2,25 @@
 
 Spot plays k episodes, drawn anew for each check, explains them and compares each row, but for behavioural
 fidelity: that is of all episodes together. Full scores the entry as `xmarl-bench score` does and compares
-every row, aggregate and control.
+every row, aggregate and control. What was not measured yet when an entry was made is not compared.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from itertools import zip_longest
 
 import numpy as np
 
-from xmarl_bench.entry.aggregation import BEHAVIOUR
+from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.entry.schema import BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
 from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.explain.controls import controls_of
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.fitting import fitted
+from xmarl_bench.metrics.table import OPTIONAL
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
@@ -27,6 +28,7 @@ from xmarl_bench.scoring.cell_result import NOT_PLAYED, episode_row
 from xmarl_bench.scoring.measure import Explained, Unit
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
+from xmarl_bench.submission.consistency import lacks
 from xmarl_bench.submission.recompute import Difference, summaries
 
 # What an explainer's record may say otherwise and still be the same: where it was found, not what it is.
@@ -107,25 +109,34 @@ def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen:
             raise explained
         assert measured.shared is not None
         row = episode_row(request.cells[0], episode, mute, measured.shared, explained, NOT_PLAYED)
-        result.episodes.append(list(_rows(f"{where}.episodes.{k}", cell.episodes[k], row, behaviour=False)))
+        skipped = {*BEHAVIOUR, *BEHAVIOUR_UNDER, *_newer(cell)}
+        result.episodes.append(list(_rows(f"{where}.episodes.{k}", cell.episodes[k], row, skipped)))
+
+
+def _newer(cell: CellResult) -> set[str]:
+    """Metrics from after the entry was made."""
+    return {name for name in OPTIONAL if lacks(cell, name)}
 
 
 def _full(result: Rerun, where: str, cell: CellResult, request: Request) -> None:
     (entry,) = entries_of(score_requests([request]))  # in a store of its own: nothing finished is believed
     (again,) = entry.results
-    pairs = enumerate(zip(cell.episodes, again.episodes, strict=True))
-    result.episodes += [
-        list(_rows(f"{where}.episodes.{k}", row, other, behaviour=True)) for k, (row, other) in pairs
-    ]
-    if cell.not_measured.keys() != again.not_measured.keys() or cell.controls.keys() != again.controls.keys():
+    pairs, newer = enumerate(zip(cell.episodes, again.episodes, strict=True)), _newer(cell)
+    result.episodes += [list(_rows(f"{where}.episodes.{k}", row, other, newer)) for k, (row, other) in pairs]
+    measured = cell.not_measured.keys() == again.not_measured.keys() - newer
+    if not measured or cell.controls.keys() != again.controls.keys():
         result.findings.append(f"{where}: what was measured is not what the rerun measures.")
         return
     for name in type(cell.metrics).model_fields:
+        if name in newer:
+            continue
         result.aggregates += summaries(
             f"{where}.metrics.{name}", getattr(cell.metrics, name), getattr(again.metrics, name)
         )
     for control, metrics in cell.controls.items():
         for name in type(metrics).model_fields:
+            if name in newer:
+                continue
             result.aggregates += summaries(
                 f"{where}.controls.{control}.{name}",
                 getattr(metrics, name),
@@ -133,12 +144,12 @@ def _full(result: Rerun, where: str, cell: CellResult, request: Request) -> None
             )
 
 
-def _rows(where: str, entry: EpisodeRow, found: EpisodeRow, *, behaviour: bool) -> Iterator[Difference]:
-    """Every number of two rows, beside each other."""
+def _rows(where: str, entry: EpisodeRow, found: EpisodeRow, skipped: Set[str]) -> Iterator[Difference]:
+    """Every number of two rows but the skipped, beside each other."""
     for name in EpisodeRow.model_fields:
         if name.endswith("budget"):
             yield from _budgets(f"{where}.{name}", getattr(entry, name), getattr(found, name))
-        elif behaviour or name not in BEHAVIOUR:
+        elif name not in skipped:
             yield Difference(f"{where}.{name}", getattr(entry, name), getattr(found, name))
 
 

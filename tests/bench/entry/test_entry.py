@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from tests.conftest import save_bundle
-from xmarl_bench.entry.aggregation import cell_metrics, metrics_of_cell, summarise
+from xmarl_bench.entry.aggregation import Acted, cell_metrics, metrics_of_cell, summarise
 from xmarl_bench.entry.file import read_entry, write_entry
 from xmarl_bench.entry.schema import Entry, EpisodeRow, Metrics, Summary, Verification, entry_id
 from xmarl_bench.errors import InputError
@@ -98,7 +98,7 @@ def test_aggregates_follow_from_the_rows(entry: Entry) -> None:
     (cell,) = entry.results
     assert metrics_of_cell(cell, entry.explainer.seed) == cell.metrics
     rows = [row.model_copy(update={"gef": None}) if k == 0 else row for k, row in enumerate(cell.episodes)]
-    holed = cell_metrics(rows, 0, {}, 3).gef
+    holed = cell_metrics(rows, 0, {}, Acted(3, 0)).gef
     assert holed is not None
     assert (holed.n, holed.n_nan) == (2, 1)
     assert holed.value == pytest.approx(

@@ -10,13 +10,25 @@ import torch
 from torch import Tensor
 from xmarl_envs import make_task
 
+from tests.helpers.dense_reference import Floats, reference_distribution, reference_messages
 from tests.helpers.example_plugins import BAD
-from tests.helpers.policies import small_policy
+from tests.helpers.policies import ROUNDING, random_observations, small_policy
+from xmarl_bench.entry.protocol import ABSENCE_EPISODES, DEFINITIONS
 from xmarl_bench.errors import InputError
+from xmarl_bench.explain.absence import stand_ins, step_under
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.metrics.absence import Absence
+from xmarl_bench.metrics.table import OTHER_ABSENCES, Group, names_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.rollout.episodes import roll_out
-from xmarl_bench.scoring.behaviour import BLOCK, BehaviourBlock, Played, kept_messages, top_messages
+from xmarl_bench.scoring.behaviour import (
+    BLOCK,
+    BehaviourBlock,
+    BlockAct,
+    Played,
+    kept_messages,
+    top_messages,
+)
 
 TASK = "blind_navigation_v0"
 
@@ -34,9 +46,16 @@ NEAREST, NOISY = Explainer("nearest", nearest), Explainer("noisy", noisy, stocha
 
 
 def play(
-    explainer: Explainer | None, seeds: tuple[int, ...] = (1, 2, 3), n_agents: int = 4, max_cycles: int = 12
+    explainer: Explainer | None,
+    seeds: tuple[int, ...] = (1, 2, 3),
+    n_agents: int = 4,
+    max_cycles: int = 12,
+    *,
+    others: bool = False,
 ) -> Played:
-    played = BehaviourBlock(small_policy(6), explainer, TASK, n_agents, seeds, 0, max_cycles).run()
+    """others: under the absence models other than zero."""
+    reference = random_observations(7, n_agents, 6, seed=3) if others else None
+    played = BehaviourBlock(small_policy(6), explainer, TASK, n_agents, seeds, 0, max_cycles, reference).run()
     assert isinstance(played, Played)
     return played
 
@@ -90,19 +109,84 @@ def test_the_explainer_gets_the_states_of_its_own_team() -> None:
     assert torch.equal(last[2:BLOCK], last[:1].expand(BLOCK - 2, -1, -1))  # padding
 
 
+@pytest.mark.parametrize("others", [False, True])
 @pytest.mark.parametrize("explainer", [NEAREST, NOISY, None])
-def test_an_episode_does_not_depend_on_the_others_of_its_batch(explainer: Explainer | None) -> None:
-    whole, part = play(explainer, (1, 2, 3)), play(explainer, (1, 2))
+def test_an_episode_does_not_depend_on_the_others_of_its_batch(
+    explainer: Explainer | None, others: bool
+) -> None:
+    whole, part = (play(explainer, seeds, others=others) for seeds in ((1, 2, 3), (1, 2)))
     assert whole.rows[:2] == part.rows
-    assert whole.rows == play(explainer, (1, 2, 3)).rows
+    assert whole.rows == play(explainer, (1, 2, 3), others=others).rows
 
 
 def test_the_fidelity_is_the_difference_of_successes() -> None:
-    for row in play(NEAREST).rows:
-        kept, dropped = row.success_on_explanation, row.success_on_complement
-        assert kept is not None
-        assert dropped is not None
-        assert row.behavioural_fidelity == kept - dropped
+    for others, prefixes in ((False, [""]), (True, [f"{name}_" for name in OTHER_ABSENCES])):
+        for row, prefix in product(play(NEAREST, others=others).rows, prefixes):
+            fidelity, kept, dropped = (
+                getattr(row, f"{prefix}{name}")
+                for name in ("behavioural_fidelity", "success_on_explanation", "success_on_complement")
+            )
+            assert kept is not None
+            assert dropped is not None
+            assert fidelity == kept - dropped
+
+
+def test_a_block_has_the_metrics_of_its_absence_models_and_no_others() -> None:
+    for others, group in ((False, Group.BEHAVIOUR), (True, Group.BEHAVIOUR_UNDER)):
+        for row in play(NEAREST, others=others).rows:
+            assert {name for name, value in row if value is not None} == set(names_of(group))
+    assert f"of the first {ABSENCE_EPISODES} episodes" in DEFINITIONS["mean_behavioural_fidelity"]
+
+
+@pytest.mark.parametrize("n_agents", [3, 4, 5])
+@pytest.mark.parametrize("residual", [False, True], ids=["plain", "residual"])
+def test_a_step_under_each_model_is_that_of_a_dense_computation(n_agents: int, residual: bool) -> None:
+    """Message by message in float64. Resample is what one of the reference states gives, not always one."""
+    policy = small_policy(6, residual=residual)
+    observation, reference = (random_observations(n, n_agents, 6, seed=n) for n in (12, 5))
+    ranks = torch.rand(n_agents, n_agents, generator=torch.Generator().manual_seed(0))
+    fixed = Explainer("fixed", lambda policy, x, generator: ranks.expand(len(x), *ranks.shape))
+    act = BlockAct(BehaviourBlock(policy, fixed, TASK, n_agents, (1, 2), 0, None, reference))
+    found = act(observation.numpy(), range(12))[0].reshape(3, 2, 2, n_agents, 2)  # model, half, episode
+    x = observation.double().numpy().reshape(3, 2, 2, n_agents, 6)
+    no_ties = np.zeros((1, n_agents, n_agents))
+    top = top_messages(ranks[None].numpy(), no_ties, kept_messages(n_agents))[0]
+    masks = [torch.maximum(half, torch.eye(n_agents)).double().numpy() for half in (top, 1.0 - top)]
+    heard = [reference_messages(policy, each) for each in reference.double().numpy()]
+
+    def off(model: int, half: int, episode: int, stand_in: Floats | None) -> float:
+        """How far the action is from the dense one."""
+        where = model, half, episode
+        loc, _ = reference_distribution(
+            policy,
+            x[where],
+            masks[half],
+            stand_in=stand_in,
+            renormalised=OTHER_ABSENCES[model] is Absence.RENORMALISED,
+        )
+        return float(np.abs(found[where] - np.tanh(loc)).max())
+
+    assert OTHER_ABSENCES == (Absence.MEAN, Absence.RESAMPLE, Absence.RENORMALISED)
+    drawn = set()
+    for half, episode in product(range(2), range(2)):
+        assert off(0, half, episode, np.mean(heard, axis=0)) < ROUNDING
+        assert off(2, half, episode, None) < ROUNDING
+        apart = [off(1, half, episode, each) for each in heard]
+        assert min(apart) < ROUNDING < 1e-3 < sorted(apart)[1]
+        drawn.add(int(np.argmin(apart)))
+    assert len(drawn) > 1
+
+
+@pytest.mark.parametrize("absence", list(Absence))
+def test_a_team_that_loses_no_message_is_the_full_team(absence: Absence) -> None:
+    policy, observations = small_policy(6), random_observations(5, 4, 6)
+    messages = policy.prepare(random_observations(7, 4, 6, seed=1)).message
+    (stand_in,) = stand_ins(absence, messages, (1, 5), np.random.default_rng(0))
+    with torch.no_grad():
+        prepared = policy.prepare(observations)
+        for mask, same in ((torch.ones(5, 4, 4), True), (torch.eye(4).expand(5, 4, 4), False)):
+            action = step_under(policy, prepared, mask, absence, stand_in)[0].action
+            assert torch.allclose(action, policy.decode(prepared).action, atol=ROUNDING) is same
 
 
 @pytest.mark.parametrize("name", sorted(BAD))

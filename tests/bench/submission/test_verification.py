@@ -15,9 +15,10 @@ from tests.bench.submission.conftest import TASK, TEAM, Pack
 from tests.bench.submission.edits import edited, with_entry, with_manifest
 from tests.conftest import RunCli
 from tests.helpers.policies import small_policy
-from xmarl_bench.entry.file import read_entry
+from xmarl_bench.entry.file import entry_text, parse_entry, read_entry
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.metrics.table import OPTIONAL
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
@@ -105,6 +106,9 @@ def test_tampered_behaviour_and_controls_are_found_by_a_full_rerun(
 ) -> None:
     def both(value: dict[str, Any]) -> None:
         rows(value)[0].update(reward_on_explanation=rows(value)[0]["reward_on_explanation"] + 1.0)
+        for name in ("mean_success_on_explanation", "mean_success_on_complement"):
+            rows(value)[0][name] = 0.5
+        rows(value)[0]["mean_behavioural_fidelity"] = 0.0
         random = value["results"][0]["controls"]["random"]["gef"]
         random.update(value=random["value"] - 1e-6)
 
@@ -114,10 +118,42 @@ def test_tampered_behaviour_and_controls_are_found_by_a_full_rerun(
     findings = of_bundle(path, tampered, FULL).findings
     for where in (
         "episodes.0.reward_on_explanation",
+        "metrics.mean_success_on_explanation.value",
         "metrics.reward_on_explanation.value",
         "controls.random.gef",
     ):
         assert any(where in finding for finding in findings), findings
+
+
+def older(value: dict[str, Any]) -> None:
+    """The entry as it was before optional metrics were measured."""
+    (cell,) = value["results"]
+    assert cell.pop("absence_behaviour_episodes") == 5
+    rows = [*cell["episodes"], cell["metrics"], *cell["controls"].values()]
+    for holder in (value["protocol"]["definitions"], cell["not_measured"], *rows):
+        for name in OPTIONAL:
+            holder.pop(name, None)
+
+
+@pytest.mark.slow
+def test_an_entry_from_before_a_metric_was_measured_stays_valid(
+    files: Mapping[str, bytes], entries: list[Entry], pack: Pack
+) -> None:
+    entry = edited(entries[0], older)
+    text = entry_text(entry)
+    assert not any(name.encode() in text for name in OPTIONAL)
+    assert parse_entry(text) == entry
+    changed = with_entry(files, entry)
+    path = pack(changed)
+    assert b"mean_behavioural_fidelity" not in changed[f"rows/{entry.file_name.removesuffix('.json')}.csv"]
+    for options in (Options(Tier.recompute), FULL):
+        verdict = of_bundle(path, entry, options)
+        assert (verdict.findings, verdict.max_abs_diff) == ((), 0.0)
+    undefined = edited(
+        entries[0], lambda value: value["protocol"]["definitions"].pop("mean_behavioural_fidelity")
+    )
+    findings = check(pack(with_entry(files, undefined), "undefined")).findings
+    assert any("protocol.definitions are not those of" in finding for finding in findings)
 
 
 def swapped(files: Mapping[str, bytes], entry: Entry, tmp_path: Path) -> tuple[dict[str, bytes], Entry]:

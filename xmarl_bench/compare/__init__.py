@@ -1,1 +1,1 @@
-"""Explainers compared on the same policies and states."""
+"""Compares explainers on the same policies and states."""

@@ -1,7 +1,7 @@
-"""Compares explainers on the same policies and states: by how much, how surely, and who cannot be told apart.
+"""Compares explainers on the same policies and states: differences, intervals, tests and tie groups.
 
-Differences are paired. Of several policies each is a unit, of a single one each episode, with Student's
-intervals and the paired t-test, whose p-values are corrected for all pairs of the table by Holm
+Differences are paired. With several policies each one is a unit, with a single policy each episode. Intervals
+are Student's; the p-values of the paired t-test are corrected by Holm for all pairs of the table
 (xmarl_bench.metrics.statistics). Interquartile mean, performance profile and probability of improvement are
 those of Agarwal et al. (2021): the policies of a cell are its runs.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xmarl_bench.compare.matching import Blocks, named
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.metrics.performance_profile import Profile, performance_profile
 from xmarl_bench.metrics.statistics import (
     Difference,
@@ -43,9 +43,9 @@ class Standing:
 
     explainer: str
     mean: Difference  # to 0: the mean over policies of the mean over episodes
-    iqm: float  # interquartile mean of the policies' means; of the episodes of a single policy
-    profile: Profile  # share of the same above every score
-    tie_group: int  # from 1; who shares it with the group's first cannot be told from the first
+    iqm: float  # interquartile mean of the policies' means, or of the episodes of a single policy
+    profile: Profile  # share of the same values above every score
+    tie_group: int  # from 1; members do not differ significantly from the first of the group
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Pair:
     second: str
     difference: Difference  # first - second, paired
     improvement: float  # probability that a run of the first is better than one of the second in its cell
-    p_holm: float | None  # None where there is a single unit
+    p_holm: float | None  # None for a single unit
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,9 @@ class Comparison:
 
 
 def compare(blocks: Blocks, metric: str) -> Comparison:
-    """Compare explainers by one metric of their episodes. Raises InputError where it was not measured."""
+    """Compare explainers by one metric of their episodes. Raises InputError if it was not measured."""
     if metric not in BETTER:
-        raise InputError(f"{metric!r} compares nothing: choose one of {', '.join(BETTER)}.")
+        raise unknown("metric", metric, BETTER)
     values = {explainer: _values(blocks, explainer, metric) for explainer in blocks}
     sign = -1.0 if BETTER[metric] is Direction.LOWER else 1.0
     zeros = [np.zeros_like(block) for block in next(iter(values.values()))]
@@ -112,12 +112,12 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
 
 
 def _scores(values: Sequence[Floats]) -> Floats:
-    """Means of the policies; of a single one its episodes."""
+    """Means of the policies, or the episodes of a single policy."""
     return values[0] if len(values) == 1 else np.array([np.nanmean(each) for each in values])
 
 
 def _runs(blocks: Blocks, explainer: str, values: Sequence[Floats], sign: float) -> dict[str, list[float]]:
-    """Cell -> means of its policies; of a single policy its episodes. Higher is better."""
+    """Cell -> means of its policies, or the episodes of a single policy. Higher is better."""
     runs: dict[str, list[float]] = {}
     for cell, each in zip(blocks[explainer].values(), values, strict=True):
         mean = sign * (each if len(values) == 1 else np.nanmean(each, keepdims=True))
@@ -126,7 +126,7 @@ def _runs(blocks: Blocks, explainer: str, values: Sequence[Floats], sign: float)
 
 
 def _values(blocks: Blocks, explainer: str, metric: str) -> list[Floats]:
-    """Of each policy and cell, NaN where an episode has no number."""
+    """The metric's values for each policy and cell; NaN if an episode has no number."""
     found = []
     for states, cell in blocks[explainer].items():
         if metric in cell.not_measured:
@@ -140,5 +140,5 @@ def _values(blocks: Blocks, explainer: str, metric: str) -> list[Floats]:
 
 
 def records(comparisons: Sequence[Comparison]) -> list[Mapping[str, Any]]:
-    """As JSON: numbers and nothing else."""
+    """The comparisons as plain values for JSON."""
     return [asdict(comparison) for comparison in comparisons]

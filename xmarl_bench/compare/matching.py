@@ -1,4 +1,4 @@
-"""Which entries can be compared: those of the same policies, cells, protocol and seed, by episode."""
+"""Matches entries that can be compared by episode: those of the same policies, cells, protocol and seed."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pathlib import Path
 
 from xmarl_bench.entry.file import read_entries, read_entry
 from xmarl_bench.entry.schema import CellResult, Entry
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.records.files import canonical_json
 
-Blocks = dict[str, dict[str, CellResult]]  # explainer -> states, the same for all -> its cell
+Blocks = dict[str, dict[str, CellResult]]  # explainer -> states (the same for all explainers) -> its cell
 
 
 def read_named(names: Sequence[str], folder: Path) -> list[Entry]:
-    """The entries that `names` mean: a file each, a folder of entries, or an explainer's name in `folder`.
+    """Read entries by name: a file, a folder of entries, or an explainer with entries in `folder`.
 
-    Files are taken as they are, names and folders on the states that all explainers share. Raises InputError
-    for a name that means no entry.
+    Files are used as they are; entries of names and folders are restricted to the states that all explainers
+    share. Raises InputError for a name without entries.
     """
 
     @cache
@@ -37,21 +37,19 @@ def read_named(names: Sequence[str], folder: Path) -> list[Entry]:
             entries = [entry for entry in in_folder() if entry.explainer.name == name]
             if not entries:
                 known = sorted({entry.explainer.name for entry in in_folder()})
-                raise InputError(
-                    f"{name!r} is neither a file nor an explainer with entries in {folder}: give one of "
-                    f"{', '.join(known) or 'none there'}, or the path of an entry."
-                )
+                explainer = f"explainer with entries in {folder}"
+                raise unknown(explainer, name, known, "or give the path of an entry")
         if not entries:
-            raise InputError(f"{name} holds no entries: give a folder with entry files in it.")
+            raise InputError(f"{name} holds no entries: give a folder with files of entries.")
         found += [entry for entry in entries if entry not in found]
     return found if files else shared_states(found)
 
 
 def shared_states(entries: Sequence[Entry]) -> list[Entry]:
-    """Of explainers asked for by name, the entries on states that all of them have.
+    """The entries on states that all explainers share.
 
-    On a policy and cell with several such protocols, as where slow explainers are scored on fewer states, the
-    one with most timesteps.
+    If a policy and cell have several such protocols, as when slow explainers are scored on fewer states,
+    those of the protocol with most timesteps. Raises InputError if no states are shared.
     """
     explainers = {entry.explainer.name for entry in entries}
     by_states: dict[tuple[bytes, ...], list[Entry]] = {}
@@ -67,17 +65,17 @@ def shared_states(entries: Sequence[Entry]) -> list[Entry]:
             largest[where] = same
     if not largest:
         raise InputError(
-            f"no states were explained by all of {', '.join(sorted(explainers))}: score them on the same "
-            f"policies, episodes and timesteps."
+            f"{', '.join(sorted(explainers))} have no states in common: score them on the same policies, "
+            f"episodes and timesteps."
         )
     return [entry for same in largest.values() for entry in same]
 
 
 def blocks_of(entries: Sequence[Entry]) -> Blocks:
-    """The cells of each explainer, by states. Raises InputError where explainers were given other states.
+    """The cells of each explainer, by states. Raises InputError if the explainers have different states.
 
-    Entries are paired by their episodes, so every explainer needs an entry on the same policy, cell, protocol
-    and seed as every other.
+    Entries are paired by episode, so all explainers need entries on the same policies, cells, protocols and
+    seeds.
     """
     blocks: Blocks = {}
     keys: dict[str, bytes] = {}
@@ -87,24 +85,24 @@ def blocks_of(entries: Sequence[Entry]) -> Blocks:
             key = _states(entry, cell)
             if keys.setdefault(name, key) != key:
                 raise InputError(
-                    f"entries on {name} were scored on different states or by different protocols, "
-                    f"{entry.explainer.name!r} among them: compare entries of one protocol and the same "
+                    f"entries on {name}, of {entry.explainer.name!r} and others, were scored on different "
+                    f"states or by different protocols: compare entries of one protocol and the same "
                     f"episodes."
                 )
             cells = blocks.setdefault(entry.explainer.name, {})
             if name in cells:
-                raise InputError(f"two entries are of {named(entry.explainer.name, name)}: give one of them.")
+                raise InputError(f"there are two entries of {named(entry.explainer.name, name)}: give one.")
             cells[name] = cell
     if len(blocks) < 2:
         raise InputError(
-            f"a comparison needs two explainers, got {', '.join(blocks) or 'none'}: give entries of another."
+            f"a comparison needs two explainers, got {', '.join(blocks) or 'none'}: give entries of two."
         )
     everywhere = sorted(keys)
     for explainer, cells in blocks.items():
         missing = [name for name in everywhere if name not in cells]
         if missing:
             raise InputError(
-                f"explainer {explainer!r} has no entry on {missing[0]}, others have: score it there, or "
+                f"explainer {explainer!r} has no entry on {missing[0]}, but others have: score it there, or "
                 f"leave these entries out."
             )
     return {explainer: {name: cells[name] for name in everywhere} for explainer, cells in blocks.items()}
@@ -115,7 +113,7 @@ def named(explainer: str, states: str) -> str:
 
 
 def _states(entry: Entry, cell: CellResult) -> bytes:
-    """What two entries must share for their episodes to be pairs."""
+    """The part that two entries must share so that their episodes are pairs."""
     return canonical_json(
         [
             entry.policy.weights_sha256,

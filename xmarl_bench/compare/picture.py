@@ -16,17 +16,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FORMATS = (".png", ".svg", ".pdf")
-# Tie groups one after the other; colours that colour-blind people tell apart (Okabe and Ito).
+# For tie groups in order; colour-blind people can distinguish these colours (Okabe and Ito).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 DASHES = ("-", "--", ":", "-.")
 GREY = "#777777"
-SURE = 0.05
+SIGNIFICANT = 0.05
 
 
 def check_picture(path: Path) -> None:
-    """Raises InputError, before any work, for a format that is none and where matplotlib is missing."""
+    """Raise InputError, before any work, for an unsupported format or if matplotlib is missing."""
     if path.suffix not in FORMATS:
-        raise InputError(f"{path} is no picture: end its name in one of {', '.join(FORMATS)}.")
+        raise InputError(
+            f"{path} is not a supported picture: give a name that ends in one of {', '.join(FORMATS)}."
+        )
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -37,7 +39,7 @@ def check_picture(path: Path) -> None:
 
 
 def draw(comparisons: Sequence[Comparison], path: Path) -> None:
-    """One row per metric: means, differences of all pairs, profiles. The same comparison, the same bytes."""
+    """One row per metric: means, differences of all pairs, profiles. Equal comparisons give equal bytes."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -53,11 +55,11 @@ def draw(comparisons: Sequence[Comparison], path: Path) -> None:
             left.set_yticks(range(len(names)), names)
             left.set_title(f"{each.metric}, {each.better} is better; one colour: tied", fontsize=9)
             for k, pair in enumerate(each.pairs):
-                sure = pair.p_holm is not None and pair.p_holm < SURE
-                _interval(right, k, pair.difference, GREY if pair.difference.holds_zero else "black", sure)
+                filled = pair.p_holm is not None and pair.p_holm < SIGNIFICANT
+                _interval(right, k, pair.difference, GREY if pair.difference.holds_zero else "black", filled)
             right.axvline(0.0, color=GREY, linewidth=0.8)
             right.set_yticks(range(len(each.pairs)), [f"{pair.first} - {pair.second}" for pair in each.pairs])
-            right.set_title(f"difference; filled: Holm p < {SURE}", fontsize=9)
+            right.set_title(f"difference; filled: Holm p < {SIGNIFICANT}", fontsize=9)
             for panel, n_rows in ((left, len(names)), (right, len(each.pairs))):
                 panel.set_ylim(n_rows - 0.5, -0.5)  # the first on top
                 panel.spines[["top", "right"]].set_visible(False)
@@ -71,7 +73,7 @@ def draw(comparisons: Sequence[Comparison], path: Path) -> None:
 
 
 def _profiles(panel: Axes, comparison: Comparison) -> None:
-    """A curve for each explainer, best first; the band of the best alone, for many would hide the curves."""
+    """A curve for each explainer, best first, and the band of the best only: more would hide the curves."""
     low = min(standing.profile.taus[0] for standing in comparison.standings)
     high = max(standing.profile.taus[-1] for standing in comparison.standings)
     beyond = 0.05 * (high - low or 1.0)

@@ -1,1 +1,1 @@
-"""The entry: its schema, its file, how rows become means, and where it was made."""
+"""The entry: its schema, file, aggregation of rows to means, and provenance."""

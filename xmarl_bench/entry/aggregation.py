@@ -1,4 +1,4 @@
-"""From episodes to the numbers of a cell: the episode is the unit, for timesteps are autocorrelated."""
+"""Aggregates episodes to the numbers of a cell. The unit is the episode: timesteps are autocorrelated."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Acted(NamedTuple):
 
 
 def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summary:
-    """One value per episode, None where it is not a number, to mean and percentile bootstrap interval.
+    """One value per episode, None if it is not a number -> mean and percentile bootstrap interval.
 
-    What is not a number is left out of the mean and counted in `n_nan`, never turned into 0. The interval
-    is None for fewer than two episodes; constant values give an interval of width 0.
+    Values that are not numbers are skipped and counted in `n_nan`, never replaced by 0. The interval is None
+    for fewer than two episodes; constant values give an interval of width 0.
     """
     x = np.array([value for value in values if value is not None], dtype=np.float64)
     n_nan = len(values) - x.size
@@ -50,7 +50,7 @@ def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summa
 
 
 def metrics_of_cell(cell: CellResult, seed: int) -> Metrics:
-    """A cell's metrics, derived again from its rows."""
+    """A cell's metrics, computed from its rows."""
     acted = Acted(cell.behaviour_episodes, cell.absence_behaviour_episodes or 0)
     return cell_metrics(cell.episodes, seed, cell.not_measured, acted)
 
@@ -58,7 +58,7 @@ def metrics_of_cell(cell: CellResult, seed: int) -> Metrics:
 def cell_metrics(
     rows: Sequence[EpisodeRow], seed: int, not_measured: Mapping[str, str], acted: Acted
 ) -> Metrics:
-    """Aggregate rows; the resampling of a metric's interval depends on its name and the run's seed alone."""
+    """Aggregate rows. The resampling of a metric's interval depends on its name and the run's seed only."""
     values = {name: [getattr(row, name) for row in rows] for name in Metrics.model_fields}
     return Metrics.model_validate(_summaries(values, seed, not_measured, acted))
 
@@ -72,8 +72,8 @@ def control_metrics(
 ) -> ControlMetrics:
     """Aggregate a control's episodes.
 
-    played: of the first episodes, those that the team was rolled out in; absences: how many of these under
-    other absence models too. What was played in no episode is not measured.
+    played: rows of the first episodes, in which the team was rolled out. absences: how many of these were also
+    played under the other absence models. Metrics without such episodes are not measured.
     """
     values = {name: [getattr(row, name) for row in rows] for name in ExplanationRow.model_fields}
     values |= {name: [getattr(row, name) for row in played] for name in BehaviourRow.model_fields}

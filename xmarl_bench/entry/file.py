@@ -1,4 +1,4 @@
-"""Files of entries: written whole, in canonical JSON by lines, and read with every check there is."""
+"""Files of entries: written atomically, in canonical JSON by lines, and checked completely on reading."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xmarl_bench.records.strict_json import check_size, first_error, has_long_in
 
 
 def entry_text(entry: Entry) -> bytes:
-    """What the file of an entry holds."""
+    """The content of an entry's file."""
     return json_lines(entry.model_dump(mode="json"), 4) + b"\n"
 
 
@@ -26,25 +26,26 @@ def write_entry(folder: Path, entry: Entry) -> Path:
 
 
 def read_entry(path: Path) -> Entry:
-    """Read and validate one entry. Raises InputError, also where its numbers are not those of its id."""
+    """Read and validate one entry. Raises InputError if it is invalid or its id does not fit its content."""
     try:
         return parse_entry(path.read_bytes())
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}).") from None
+        raise InputError(f"{path} cannot be read ({error.strerror}): give the file of an entry.") from None
     except ValueError as error:
         raise InputError(f"{path} {error}.") from None
 
 
 def parse_entry(data: bytes) -> Entry:
-    """The entry of JSON text. Raises ValueError, whose text is a clause without a full stop: "is no ..."."""
+    """The entry of JSON text. Raises ValueError, with a clause without a full stop: "is not an entry ..."."""
     entry = _as_written(data)
     return _parse(data) if entry is None else entry
 
 
 def _as_written(data: bytes) -> Entry | None:
-    """The entry of the text that `entry_text` makes of it, wherever its lines break; None of any other.
+    """The entry, if the text is what `entry_text` makes of it, apart from line breaks; else None.
 
-    What `_parse` checks in half the time, for canonical JSON holds no key twice, no NaN and no 1 for 1.0.
+    Checks the same as `_parse` in half the time, because canonical JSON has no repeated keys, NaN or 1 for
+    1.0.
     """
     try:
         check_size(data)
@@ -58,7 +59,7 @@ def _as_written(data: bytes) -> Entry | None:
 
 
 def _parse(data: bytes) -> Entry:
-    """The entry of any JSON text, or what is wrong with it."""
+    """The entry of any JSON text. Raises ValueError that says what is wrong with it."""
     try:
         value = parse_json(data)
     except ValueError as error:
@@ -66,22 +67,22 @@ def _parse(data: bytes) -> Entry:
     version = value.get("schema_version") if isinstance(value, dict) else SCHEMA_VERSION
     if version != SCHEMA_VERSION:
         raise ValueError(
-            f"has schema_version {shown(version)}, this version of xmarl-bench reads {SCHEMA_VERSION}: "
+            f"has schema_version {shown(version)}, but this version of xmarl-bench reads {SCHEMA_VERSION}: "
             f"score it again, or move it away"
         )
     try:
         entry = Entry.model_validate_json(data)
     except ValidationError as error:
-        said, where = first_error(error)
+        problem, where = first_error(error)
         where = shown(where, 120).strip("'") or "the whole file"
-        raise ValueError(f"is not an entry: {said} at {where}") from None
+        raise ValueError(f"is not an entry: {problem} at {where}") from None
     if entry_id(entry) != entry.entry_id:
         raise ValueError("was changed after it was written (its entry_id does not fit): score it again")
     if canonical_json(value) != canonical_json(entry.model_dump(mode="json")):
-        raise ValueError("is not written as entries are (a key left out, 1 for 1.0): score it again")
+        raise ValueError("is not in the canonical form (a missing key, 1 for 1.0): score it again")
     return entry
 
 
 def read_entries(folder: Path) -> Sequence[tuple[Path, Entry]]:
-    """Every entry of a folder, by file name."""
+    """Every entry of a folder, sorted by file name."""
     return [(path, read_entry(path)) for path in sorted(folder.glob("*.json"))]

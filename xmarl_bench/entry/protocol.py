@@ -1,4 +1,4 @@
-"""What the numbers of an entry mean. Scores depend on every word here: a change is a new protocol id.
+"""The definitions of an entry's numbers. Scores depend on every word here: a change needs a new protocol id.
 
 Formulae and reasons are in docs/metrics.md.
 """
@@ -11,7 +11,7 @@ from xmarl_bench.metrics.table import FAMILIES, METRICS
 from xmarl_bench.policy.architecture import DistributionKind
 
 PROTOCOL: Final = "xmarl-3"
-# What is checked of an explainer's sanity: the first episodes of a run, timesteps evenly spaced in each.
+# States of the sanity checks: the first episodes of a run, at evenly spaced timesteps.
 SANITY_EPISODES: Final = 5
 SANITY_TIMESTEPS: Final = 20
 # Of the episodes that are played on an explanation, so many also under the absence models other than zero.
@@ -38,7 +38,7 @@ DEFINITIONS: dict[str, str] = {
     "seeds": "environment seed of each episode: 10^12 + seed * 10^6 + k",
 }
 
-# What differs where actions are discrete (`continuous_actions=False`).
+# Definitions that differ if actions are discrete (`continuous_actions=False`).
 OF_CATEGORICALS: Final[dict[str, str]] = {
     "F(m)": "probabilities of the discrete actions, of which the likeliest is played, with the message on "
     "edge j -> i scaled by m[i, j] after the softmax, nothing renormalised",
@@ -47,5 +47,5 @@ OF_CATEGORICALS: Final[dict[str, str]] = {
 
 
 def definitions(distribution: DistributionKind) -> dict[str, str]:
-    """What the numbers of a policy's entry mean, by its distribution of actions."""
+    """The definitions of the numbers of an entry, for its policy's distribution of actions."""
     return DEFINITIONS | OF_CATEGORICALS if distribution == "categorical" else DEFINITIONS

@@ -1,4 +1,4 @@
-"""Where, when and with what an entry was made. Nothing here enters the entry's id."""
+"""Where, when and with which versions an entry was made. Not part of the entry's id."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def provenance(started: str, jobs: int) -> Provenance:
 
 @cache
 def _cpu() -> str:
-    """The processor's model name where Linux tells it, else its architecture."""
+    """The processor's model name if Linux reports it, else its architecture."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
@@ -58,7 +58,7 @@ def _cpu() -> str:
 def _commit() -> tuple[str | None, bool | None]:
     """Commit of this source tree and whether it has changes; (None, None) for an installed package."""
     here = Path(__file__).resolve()
-    # An installed copy may lie inside somebody's repository without being part of it.
+    # An installed copy may lie inside another git repository without being part of it.
     if _git(here.parent, "ls-files", "--error-unmatch", here.name) is None:
         return None, None
     changes = _git(here.parent, "status", "--porcelain", "--untracked-files=no", "--", ":/")

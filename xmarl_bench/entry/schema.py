@@ -1,10 +1,10 @@
 """The entry: one (policy, explainer) pair scored over a list of cells, one strict JSON file.
 
-Unknown keys, keys given twice, NaN, infinity and what is out of a metric's range are refused. `entry_id` is
-the sha256 of the canonical JSON without `verification`, which others add later, and without `provenance` and
-`cost`, which say where and how fast the entry was made: the same score made twice has the same id. A file is
-canonical JSON too, with line breaks: an episode, a control or a metric has a line of its own.
-`leaderboard/entry.schema.json` is this file as JSON Schema.
+Unknown or repeated keys, NaN, infinity and values outside a metric's range are errors. `entry_id` is the
+sha256 of the canonical JSON without `verification`, which others add later, and without `provenance` and
+`cost`, which tell where and how fast the entry was made: scoring again gives the same id. A file is canonical
+JSON with line breaks: each episode, control and metric has its own line. `leaderboard/entry.schema.json` is
+this file as JSON Schema.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ class PolicyRecord(Record):
     architecture: AnyArchitecture
     attention_entropy: float
     training_seed: int | None
-    code: Text | None = None  # where its training code is
-    trusted_code: bool = False  # code of the policy's own ran, beside the closed list
+    code: Text | None = None  # link to its training code
+    trusted_code: bool = False  # the policy ran its own code
 
 
 class ExplainerRecord(Record):
-    """What was asked, and what it declares of itself."""
+    """The explainer and its declarations."""
 
     name: Name
     distribution: Text | None  # None: an object passed in Python or a file, not an installed plugin
@@ -67,20 +67,20 @@ class ExplainerRecord(Record):
     seed: Annotated[int, Field(ge=0, lt=10**9)]
     batched: bool = True  # False: called for one timestep at a time
     binary: bool = False  # masks of zeros and ones
-    signed: Text | None = None  # attributions have a sign: the normaliser that made masks of them
+    signed: Text | None = None  # formula that maps signed attributions to masks; None: not signed
     needs_fit: bool = False  # fitted on other states before it explains
-    accesses: Literal["black-box", "gradients", "attention"] | None = None  # of the policy; None: not said
-    code: Text | None = None  # where its code is
+    accesses: Literal["black-box", "gradients", "attention"] | None = None  # to the policy; None: undeclared
+    code: Text | None = None  # link to its code
     code_sha256: Sha256 | None = None  # of the file that it was loaded from
 
 
 class Protocol(Record):
-    """What was measured and on which states. Entries share a table only where this is identical."""
+    """What was measured, and on which states. Entries share a table only if their protocols are identical."""
 
     id: Literal["xmarl-3"] = PROTOCOL
     episodes: Annotated[int, Field(ge=1, le=10**6)]
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**53)], ...]
-    timesteps: Annotated[int, Field(ge=1)] | None  # at most so many of each episode; None is all
+    timesteps: Annotated[int, Field(ge=1)] | None  # at most so many of each episode; None: all
     definitions: Annotated[dict[Text, Text], Field(max_length=100)]
 
 
@@ -94,7 +94,7 @@ class Summary(Record):
 class MetricsRow(Record):
     """A number per metric."""
 
-    if TYPE_CHECKING:  # the fields are those of the table
+    if TYPE_CHECKING:  # the table of metrics gives the fields
 
         def __getattr__(self, name: str) -> float | None: ...
 
@@ -128,7 +128,7 @@ def _mean_type(metric: Metric) -> Any:
 
 
 def of_metrics(type_of: Callable[[Metric], Any], *groups: Group) -> Callable[[type[R]], type[R]]:
-    """Class decorator: the model with a field for each metric of these groups after its own."""
+    """Class decorator: adds to a model a field for each metric of these groups."""
 
     def extend(model: type[R]) -> type[R]:
         fields: dict[str, Any] = {
@@ -144,26 +144,26 @@ def of_metrics(type_of: Callable[[Metric], Any], *groups: Group) -> Callable[[ty
 
 @of_metrics(_row_type, Group.EXPLANATION)
 class ExplanationRow(MetricsRow):
-    """What a mask scores on one episode. A metric is null where it is not a number."""
+    """Scores of a mask on one episode. A metric is null if it is not a number."""
 
 
 @of_metrics(_row_type, Group.BEHAVIOUR, Group.BEHAVIOUR_UNDER)
 class BehaviourRow(MetricsRow):
-    """How the team did on the explanation and on the rest; null in episodes that were not played so."""
+    """Task metrics of the team on the explanation and on its complement; null in episodes not played."""
 
 
 @of_metrics(_row_type, Group.SANITY)
 class SanityRow(MetricsRow):
-    """What repeating an explanation says of its explainer; null where it was not checked."""
+    """Sanity checks of the explainer; null if not checked."""
 
 
 @of_metrics(_row_type, Group.POLICY)
 class PolicyRow(MetricsRow):
-    """What is the policy's and no explainer's."""
+    """Metrics that depend on the policy only."""
 
 
 class BudgetRow(Record):
-    """FidDelta@k over one episode, k = 1 .. M - 1 of M senders; what `budgeted_fidelity` is made of."""
+    """FidDelta@k over one episode, k = 1 .. M - 1 of M senders: the input of `budgeted_fidelity`."""
 
     explained: tuple[float | None, ...]  # of the k highest edges of the mask's rows
     random: tuple[float | None, ...] | None  # of a random ranking, in expectation; null without an oracle
@@ -172,11 +172,11 @@ class BudgetRow(Record):
 
 @of_metrics(_row_type, Group.SANITY, Group.POLICY, Group.GAIN, Group.TASK)
 class EpisodeRow(ExplanationRow, BehaviourRow):
-    """One episode. A metric is null where it is not a number, or where it was not measured."""
+    """One episode. A metric is null if it is not a number or was not measured."""
 
     seed: Annotated[int, Field(ge=0, lt=2**53)]
     length: Annotated[int, Field(ge=1, le=10**6)]  # steps of the episode
-    timesteps: Annotated[int, Field(ge=1, le=10**6)]  # of which so many were explained
+    timesteps: Annotated[int, Field(ge=1, le=10**6)]  # number of explained steps
     budget: BudgetRow | None = None
     comm_budget: BudgetRow | None = None  # own edges always kept: M = N - 1
     mean_budget: BudgetRow | None = None  # the same under the other absence models
@@ -186,12 +186,12 @@ class EpisodeRow(ExplanationRow, BehaviourRow):
 
 @of_metrics(_mean_type, Group.EXPLANATION)
 class ExplanationMetrics(MetricsMeans):
-    """The means of `ExplanationRow`; null where a metric was not measured."""
+    """The means of `ExplanationRow`; null if a metric was not measured."""
 
 
 @of_metrics(_mean_type, Group.BEHAVIOUR, Group.BEHAVIOUR_UNDER)
 class BehaviourMetrics(MetricsMeans):
-    """The means of `BehaviourRow`, over the episodes that were played so; null where none was."""
+    """The means of `BehaviourRow` over the episodes played; null if none was."""
 
 
 class ControlMetrics(ExplanationMetrics, BehaviourMetrics):
@@ -200,7 +200,7 @@ class ControlMetrics(ExplanationMetrics, BehaviourMetrics):
 
 @of_metrics(_mean_type, Group.SANITY, Group.POLICY, Group.GAIN, Group.TASK)
 class Metrics(ExplanationMetrics, BehaviourMetrics):
-    """Every metric of a cell; null where it was not measured, see `CellResult.not_measured`."""
+    """Every metric of a cell; null if it was not measured, see `CellResult.not_measured`."""
 
 
 class CellResult(Record):
@@ -208,24 +208,24 @@ class CellResult(Record):
     n_agents: Agents
     max_cycles: Annotated[int, Field(ge=1, le=10**6)]
     metrics: Metrics
-    not_measured: Annotated[dict[Name, Text], Field(max_length=100)]  # metric -> why it is null
+    not_measured: Annotated[dict[Name, Text], Field(max_length=100)]  # metric -> reason why it is null
     controls: Annotated[dict[Name, ControlMetrics], Field(max_length=100)]
-    behaviour_episodes: Count  # the first so many were also played on the explanation and on the complement
-    absence_behaviour_episodes: Count | None = left_out()  # and of these so many under other absence models
+    behaviour_episodes: Count  # number of first episodes also played on the explanation and its complement
+    absence_behaviour_episodes: Count | None = left_out()  # number of these played under other absence models
     episodes: tuple[EpisodeRow, ...]
 
 
 class Cost(Record):
-    """Wall clock on one thread. No part of the entry's id."""
+    """Wall-clock time on one thread. Not part of the entry's id."""
 
-    explain_seconds_per_timestep: Seconds  # masks only, no metrics
+    explain_seconds_per_timestep: Seconds  # masks only, without metrics
     explained_timesteps: Count
     shared_seconds_per_timestep: Seconds  # oracle, controls and their metrics: once for all explainers
-    behaviour_seconds: Seconds  # the rollouts on the explanation and on the complement
+    behaviour_seconds: Seconds  # rollouts on the explanation and on its complement
 
 
 class Provenance(Record):
-    """Numbers repeat bit for bit where `packages`, `python`, `machine` and `cpu_capability` are the same."""
+    """Numbers repeat bit for bit if `packages`, `python`, `machine` and `cpu_capability` are the same."""
 
     harness_version: Text
     commit: Text | None
@@ -235,7 +235,7 @@ class Provenance(Record):
     os: Text
     machine: Text  # x86_64, arm64, ...
     cpu: Text
-    cpu_capability: Text  # the vector instructions torch uses: they decide how it rounds
+    cpu_capability: Text  # vector instructions that torch uses; its rounding depends on them
     threads: Annotated[int, Field(ge=1)]  # per worker
     jobs: Annotated[int, Field(ge=1)]
     command: Text
@@ -244,7 +244,7 @@ class Provenance(Record):
 
 
 class Verification(Record):
-    """Who found the numbers right, how, with what. Written by `xmarl-bench verify`, not by submitters."""
+    """Who verified the numbers, how and with which versions. Written by `xmarl-bench verify` only."""
 
     status: Literal["unverified", "recomputed", "spot-rerun", "re-executed"] = "unverified"
     by: Text | None = None
@@ -253,8 +253,8 @@ class Verification(Record):
     packages: Annotated[dict[Text, Text], Field(max_length=100)] | None = None
     machine: Text | None = None
     episodes: Count = 0  # played and explained again, in all cells
-    bitwise: bool | None = None  # compared to the bit, or within the tolerance of other machines
-    max_abs_diff: NotNegative | None = None  # of any number compared
+    bitwise: bool | None = None  # compared bit for bit; False: within the tolerance for other machines
+    max_abs_diff: NotNegative | None = None  # largest over all numbers compared
 
 
 class Entry(Record):
@@ -267,14 +267,12 @@ class Entry(Record):
     results: Annotated[tuple[CellResult, ...], Field(min_length=1, max_length=100)]
     cost: Cost
     provenance: Provenance
-    reported: dict[str, JsonValue] | None = (
-        None  # claims of a paper or submitter, kept apart from measurements
-    )
+    reported: dict[str, JsonValue] | None = None  # claims of a paper or submitter, separate from measurements
     verification: Verification = Verification()
 
     @property
     def file_name(self) -> str:
-        """The same policy, explainer, protocol and cells: the same file, so a new score replaces the old."""
+        """Unique to policy, explainer, protocol and cells, so that a new score replaces the old one."""
         cells = [[cell.task, cell.n_agents, cell.max_cycles] for cell in self.results]
         scope = canonical_json([self.protocol.model_dump(mode="json"), self.explainer.seed, cells])
         return f"{self.policy.name}.{self.explainer.name}.{hashlib.sha256(scope).hexdigest()[:8]}.json"
@@ -291,6 +289,6 @@ def entry_id(entry: Entry) -> str:
 
 
 def id_of(parts: Mapping[str, bytes]) -> str:
-    """Of the texts of an entry's fields."""
+    """The id of an entry, from the canonical texts of its fields."""
     hashed = {name: text for name, text in parts.items() if name not in NOT_HASHED}
     return hashlib.sha256(object_of(hashed)).hexdigest()

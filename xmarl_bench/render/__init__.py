@@ -1,1 +1,1 @@
-"""Episodes recorded and drawn, with what an explainer says of them."""
+"""Records and draws episodes, with their explanation."""

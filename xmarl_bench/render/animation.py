@@ -1,4 +1,4 @@
-"""Pictures of a recorded episode in one file: an animated gif or avif, an mp4 video, or a sheet as png."""
+"""Draws a recorded episode into one file: an animated gif or avif, an mp4 video, or a sheet as png."""
 
 from __future__ import annotations
 
@@ -24,28 +24,31 @@ from xmarl_bench.render.recording import Recording
 
 Picture = NDArray[np.uint8]
 
-GIF_FRAMES = 120  # at most; a longer episode shows every second, third, ... step
-GIF_BYTES = 2_000_000  # at most; a busier episode loses frames until it fits
+GIF_FRAMES = 120  # at most; of longer episodes every second, third, ... step
+GIF_BYTES = 2_000_000  # at most; frames are dropped until it fits
 GIF_COLOURS = 96
-SMALL_FRAMES, SMALL_WIDTH = 24, 320  # of an avif: a fraction of a gif's bytes, for a page of many
-SMALL_PAUSE = 250  # ms, at most from frame to frame
-LAST_FRAME = 1500  # ms, for the end to be seen
+SMALL_FRAMES, SMALL_WIDTH = 24, 320  # of an avif: a fraction of a gif's bytes, for pages with many
+SMALL_PAUSE = 250  # ms between frames, at most
+LAST_FRAME = 1500  # ms, to show the end
 SHEET_PANELS, SHEET_COLUMNS = 6, 3
 PANEL_WIDTH = 480  # pixels
 
 
 @dataclass(frozen=True)
 class Written:
-    """What is in a file."""
+    """Size of a written file."""
 
     frames: int
     n_bytes: int
 
 
 def check_target(path: Path) -> None:
-    """Raises InputError, before any work, where no animation could be written to `path`."""
+    """Raise InputError, before any work, if no animation can be written to `path`."""
     if path.suffix not in _FORMATS:
-        raise InputError(f"cannot make {path}: let its name end in one of {', '.join(_FORMATS)}.")
+        raise InputError(
+            f"cannot make {path}, whose format is unknown: give a name that ends in one of "
+            f"{', '.join(_FORMATS)}."
+        )
     if path.is_dir():
         raise InputError(f"cannot write to {path}, which is a folder: give the name of a file.")
     if path.suffix == ".avif" and not features.check("avif"):
@@ -62,9 +65,9 @@ def write_animation(
 ) -> Written:
     """Draw the episode, with the explanation over it if there is an explainer, into one file.
 
-    The ending of `path` says what it becomes: `.gif` or `.mp4`, both at twice real time, `.avif`, small and
-    few frames, or `.png`, six moments side by side. The picture after the last step has no explanation:
-    nobody acted on it. Raises InputError as `check_target` and `Recording.explain` do.
+    The suffix of `path` gives the format: `.gif` or `.mp4`, both at twice real time, `.avif`, small with few
+    frames, or `.png`, six moments side by side. The picture after the last step has no explanation, because
+    no action follows it. Raises InputError as `check_target` and `Recording.explain` do.
     """
     check_target(path)
     choose, encode = _FORMATS[path.suffix]
@@ -75,7 +78,7 @@ def write_animation(
 
     def draw(cycle: int) -> Picture:
         picture = renderer.draw(recording.track.scene(cycle), masks.get(cycle), title)
-        assert picture is not None  # it goes to no window
+        assert picture is not None  # None only if it is shown in a window
         return picture
 
     frames, data = encode(in_order(draw, cycles, progress="draw" if progress else None), cycles)
@@ -88,17 +91,17 @@ def _all(last: int) -> list[int]:
 
 
 def _regular(last: int) -> list[int]:
-    """At most GIF_FRAMES, as many steps apart each, and the last."""
+    """At most GIF_FRAMES at equal distances, and the last."""
     return sorted({*range(0, last, -(-last // (GIF_FRAMES - 1))), last})
 
 
 def _few(last: int) -> list[int]:
-    """At most SMALL_FRAMES, the first and the last among them."""
+    """At most SMALL_FRAMES, including the first and the last."""
     return sorted({round(k * last / (SMALL_FRAMES - 1)) for k in range(SMALL_FRAMES)})
 
 
 def _moments(last: int) -> list[int]:
-    """At most SHEET_PANELS, the first and the last among them."""
+    """At most SHEET_PANELS, including the first and the last."""
     return sorted({round(k * last / (SHEET_PANELS - 1)) for k in range(SHEET_PANELS)})
 
 
@@ -114,12 +117,12 @@ def _explain(
 
 
 def _reach(recording: Recording) -> float:
-    """One scale for all pictures, the last one's."""
+    """The scale of all pictures, that of the last one."""
     return float(np.abs(recording.track.scene().track).max()) + recording.task.radius
 
 
 def _gif(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
-    """Frames and bytes. All frames share one palette, else what stands still would change its colours."""
+    """Frames and bytes. All frames share one palette, so that still objects keep their colours."""
     pictures = list(drawn)
     some = np.concatenate([pictures[k] for k in _moments(len(pictures) - 1)])
     palette = Image.fromarray(some).quantize(GIF_COLOURS)

@@ -1,7 +1,7 @@
 """A small animation for each entry: its first episode, with the explanation drawn.
 
-They are named by the entry's id and never drawn twice: a drawing that was stopped goes on where it was. An
-entry has none where its policy or explainer is not installed here; the page does without.
+Files are named by the entry's id and never drawn twice, so an interrupted run continues where it stopped. An
+entry whose policy or explainer is not installed here gets no animation, and the page shows none.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Played = dict[tuple[object, ...], Recording]
 
 
 def draw_missing(folder: Path) -> Iterator[str]:
-    """Draw what FOLDER/animations/ lacks; yields a line for each animation, or why there is none."""
-    played: Played = {}  # by the policy before: explainers of one share an episode, and files lie by policy
+    """Draw the animations missing in FOLDER/animations/. Yields a line for each, or why there is none."""
+    played: Played = {}  # the last policy's episode, which its explainers share: files are sorted by policy
     for file in sorted((folder / "entries").glob("*.json")):
         entry = read_entry(file)
         path = folder / ANIMATIONS / animation_name(entry)
@@ -33,13 +33,13 @@ def draw_missing(folder: Path) -> Iterator[str]:
         try:
             n_bytes = _draw(entry, path, played)
         except InputError as error:
-            yield f"{entry.policy.name}, {entry.explainer.name}: no animation, for {error}"
+            yield f"{entry.policy.name}, {entry.explainer.name}: no animation: {error}"
         else:
             yield f"{path}: {entry.policy.name}, {entry.explainer.name}, {n_bytes / 1000:.0f} kB"
 
 
 def _draw(entry: Entry, path: Path, played: Played) -> int:
-    """Bytes written. Raises InputError where the policy or the explainer is not what was scored."""
+    """Bytes written. Raises InputError if the policy or explainer is missing, or the policy has changed."""
     explainer = find_explainer(entry.explainer.name)
     cell, seed = entry.results[0], entry.explainer.seed
     key = (entry.policy.weights_sha256, cell.task, cell.n_agents, cell.max_cycles, seed)
@@ -47,7 +47,9 @@ def _draw(entry: Entry, path: Path, played: Played) -> int:
         played.clear()
         policy, card = load_policy(find_policy(entry.policy.name))
         if card.weights_sha256 != entry.policy.weights_sha256:
-            raise InputError(f"the installed policy {entry.policy.name!r} has other weights.")
+            raise InputError(
+                f"the installed policy {entry.policy.name!r} has other weights: install the one scored."
+            )
         task = Cell(cell.task, cell.n_agents).make()
         played[key] = record(task, card.name, policy, seed=seed, max_cycles=cell.max_cycles)
     return write_animation(played[key], path, explainer).n_bytes

@@ -1,4 +1,4 @@
-"""One episode, recorded to be drawn: as scoring plays it, and explained as scoring explains it."""
+"""Records one episode for drawing: played and explained as in scoring."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from xmarl_bench.rollout.episodes import chooser, initial_state, with_actions_of
 
 Floats = NDArray[np.float32]
 
-TEAMS = HEURISTIC, RANDOM = ("heuristic", "random")  # those that need no policy
+TEAMS = HEURISTIC, RANDOM = ("heuristic", "random")  # teams without a policy
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,13 @@ class Recording:
     success_rate: float  # fraction of agents at their goals when it ended; discovery: 1 if found
 
     def explain(self, explainer: Explainer, cycles: Sequence[int]) -> NDArray[np.float32]:
-        """(S, N, N): masks of the chosen steps; if all steps are chosen, those that are scored.
+        """(S, N, N): masks of the chosen steps; the same as in scoring if all steps are chosen.
 
-        Raises InputError where no policy acted, or for what goes wrong in the explainer.
+        Raises InputError if the team has no policy, or if the explainer fails.
         """
         if self.policy is None:
             raise InputError(
-                f"explainer {explainer.name!r} explains policies, and the team is {self.team!r}: "
+                f"explainer {explainer.name!r} explains policies, but the team is {self.team!r}: "
                 f"choose a policy, or leave the explainer out."
             )
         explainer = fitted(explainer, self.policy, self.task.name, self.task.n_agents, self.run_seed)
@@ -63,10 +63,10 @@ def record(
     episode: int = 0,
     max_cycles: int | None = None,
 ) -> Recording:
-    """Play the episode of that number among those that a run with this seed scores.
+    """Play episode number `episode` of a scoring run with this seed.
 
-    team: the policy's name; without a policy HEURISTIC or RANDOM. Raises InputError for a seed or an episode
-    that no run has, and for a team that is neither a policy nor one of these.
+    team: the policy's name; without a policy HEURISTIC or RANDOM. Raises InputError for an invalid seed or
+    episode, and for another team without a policy.
     """
     if episode < 0:
         raise InputError(f"episode must be 0 or more, got {episode}: give the number of an episode.")

@@ -1,4 +1,4 @@
-"""Which team an episode is drawn of: a policy, or one that needs none."""
+"""Selects the team to draw: a policy, or a team without one."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from xmarl_bench.scoring.selection import ALL, select_policies
 def select_team(
     policy: str, task: str | None, agents: int | None, *, trust_code: bool = False
 ) -> tuple[Policy | None, str, Cell]:
-    """A policy (None for the teams that need none), its name and its cell; `None`s are the policy's own.
+    """A policy (None for teams without one), its name and its cell. task, agents: None: the policy's own.
 
-    Raises InputError where nothing says which task, for unknown names and for cells that do not fit.
+    Raises InputError if the task is not known, for unknown names and for cells that do not fit.
     """
     if policy in TEAMS:
         if task is None:

@@ -106,7 +106,7 @@ def test_entries_that_cannot_be_paired_are_refused(entry: Entry) -> None:
     refused: list[tuple[list[Entry], str]] = [
         ([one, like(entry, "b", [0.0] * 4, results=(other,))], "different states"),
         ([one, like(entry, "b", [0.0] * 4, protocol=fewer)], "different states or by different protocols"),
-        ([one, one], "two entries are of 'a'"),
+        ([one, one], "there are two entries of 'a'"),
         ([one], "needs two explainers, got a"),
         ([one, like(entry, "b", [0.0] * 4, policy="another")], "no entry on"),
     ]
@@ -121,7 +121,7 @@ def test_metrics_that_were_not_measured_are_refused(entry: Entry) -> None:
         compare(blocks, "fid_delta")
     with pytest.raises(InputError, match="success_on_explanation was not measured for"):
         compare(blocks, "success_on_explanation")
-    with pytest.raises(InputError, match=r"'makespan' compares nothing.*comm_budgeted_fidelity"):
+    with pytest.raises(InputError, match=r"unknown metric 'makespan'.*comm_budgeted_fidelity"):
         compare(blocks, "makespan")
     assert "comm_budgeted_fidelity" in BETTER
 
@@ -131,7 +131,7 @@ def test_explainers_named_are_compared_on_the_states_they_share(entry: Entry) ->
     both = [like(entry, "fast", [0.0] * 4), like(entry, "fast", [0.0] * 4, protocol=few)]
     slow = like(entry, "slow", [0.0] * 4, protocol=few)
     assert {each.protocol.timesteps for each in shared_states([*both, slow])} == {1}
-    with pytest.raises(InputError, match="no states were explained by all of fast, slow"):
+    with pytest.raises(InputError, match="fast, slow have no states in common"):
         shared_states([both[0], slow])
 
 
@@ -161,9 +161,9 @@ def test_invalid_input_is_refused_with_one_sentence(run_cli: RunCli, entry: Entr
     file = write_entry(folder, like(entry, "one", [0.1] * 4))
     for arguments, said in [
         ((file, tmp_path / "missing.json"), "missing.json"),
-        (("one", "tow", "--entries", folder), "'tow' is neither"),
+        (("one", "tow", "--entries", folder), "unknown explainer with entries in"),
         ((file, file), "needs two explainers"),
-        ((file, "--plot", "picture.bmp"), "end its name in one of"),
+        ((file, "--plot", "picture.bmp"), "a name that ends in one of"),
     ]:
         ran = run_cli("compare", *arguments)
         assert (ran.code, ran.out, len(ran.err.splitlines())) == (2, "", 1), ran

@@ -215,7 +215,7 @@ def test_without_a_policy_the_heuristic_plays(run_cli: RunCli, tmp_path: Path) -
         (["--policy", "BUNDLE", "--episode", -1], ["episode"]),
         (["--policy", "BUNDLE", "--max-cycles", 0], ["max_cycles"]),
         (["--policy", "BUNDLE", "--out", "a.avi"], ["a.avi", ".gif, .avif, .mp4, .png"]),
-        (["--policy", "BUNDLE", "--out", "."], ["let its name end"]),
+        (["--policy", "BUNDLE", "--out", "."], ["give a name that ends in"]),
     ],
 )
 def test_invalid_options_are_refused(

@@ -38,7 +38,7 @@ def test_animations_are_drawn_once_and_shown(board: Path, run_cli: RunCli) -> No
     assert ran.code == 0, ran.err
     (path,) = (board / "animations").iterdir()
     assert f"{path}: small, random" in ran.out
-    assert "stranger, random: no animation, for " in ran.out
+    assert "stranger, random: no animation: " in ran.out
     with Image.open(path) as image:
         assert image.n_frames == 4  # type: ignore[attr-defined]
     (data,) = (board / "pages").glob("board-*.js")
@@ -69,5 +69,7 @@ def test_no_animation_is_drawn_if_the_installed_weights_differ(
 ) -> None:
     install(monkeypatch, small=make_bundle(name="again", seed=1))
     (line, _) = draw_missing(board)
-    assert line == "small, random: no animation, for the installed policy 'small' has other weights."
+    assert line == (
+        "small, random: no animation: the installed policy 'small' has other weights: install the one scored."
+    )
     assert not (board / "animations").exists()

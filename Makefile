@@ -59,7 +59,7 @@ type: $(STAMP)  ## Check types of packages and tests with mypy
 
 board: $(STAMP)  ## Bring leaderboard/ and the documents made of it up to date: hours
 	$(MAKE) score ALL=1 OUT=leaderboard
-	for each in ranking scaling metrics; do $(BIN)/python docs/make_$$each.py || exit 1; done
+	for each in ranking scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
 
 bench: $(BENCH_STAMP)  ## Measure tasks, explainers and trainer beside those of others
 	$(BIN)/python -m pytest --benchmark-only tests/benchmarks

@@ -6,7 +6,11 @@ import re
 import runpy
 from pathlib import Path
 
+from tests.helpers.policies import small_policy
 from xmarl_bench.explain.controls import CONTROLS, INITIAL_ATTENTION, INVERTED, NEAREST
+from xmarl_bench.meta.curves import METRICS
+from xmarl_bench.meta.degenerate import kinds_of
+from xmarl_bench.metrics.table import by_name
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "metrics.md").read_text(encoding="utf-8")
@@ -22,3 +26,14 @@ def test_it_explains_every_control() -> None:
     assert {*CONTROLS, NEAREST, INITIAL_ATTENTION, INVERTED} <= named
     assert "(metrics.png)" in PAGE
     assert (DOCS / "metrics.png").is_file()
+
+
+def test_its_tables_of_tested_metrics_are_whole() -> None:
+    """Otherwise run docs/make_meta.py: a row for each metric of a mask, and each kind of explanation."""
+    for name, rows in (("followed", METRICS), ("degenerate", [*kinds_of(small_policy(6))])):
+        table = PAGE.split(f"<!-- {name}:begin -->\n")[1].split(f"<!-- {name}:end -->")[0].splitlines()
+        titles = [by_name()[each].title if each in by_name() else each for each in rows]
+        assert [line.split(" | ")[0].removeprefix("| ") for line in table[2:]] == titles
+    for picture in ("degradation.png", "agreement.png"):
+        assert f"({picture})" in PAGE
+        assert (DOCS / picture).is_file()

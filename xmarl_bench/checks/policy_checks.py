@@ -29,7 +29,7 @@ from xmarl_bench.rollout.episodes import Episode, Floats, play, roll_out, with_a
 
 SEED: Final = 1
 ROUNDING: Final = 1e-4  # action units: rounding depends on the order of a sum and the size of a batch
-LISTENS: Final = 0.02  # mean change without messages below which a policy is not ranked on the leaderboard
+LISTENS: Final = 0.02  # mean change without messages, in action units, under which there is little to explain
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,8 @@ def listens(subject: PolicySubject) -> str:
     change = float(action_change(subject.full, alone).mean())
     if change < LISTENS:
         raise Failed(
-            f"removing all messages changes actions by {change:.2g}, less than {LISTENS}: explanations of a "
-            f"policy that ignores its team are trivially faithful, and the leaderboard does not rank them."
+            f"removing all messages changes actions by {change:.2g}, less than {LISTENS}: all explanations "
+            f"of a policy that ignores its team are trivially faithful. Train it to use messages."
         )
     return f"removing all messages changes actions by {change:.3f}"
 

@@ -45,6 +45,7 @@ def like(entry: Entry, explainer: str, values: Values, *, policy: str = "small",
     return make_entry(**(content | changes))
 
 
+@pytest.mark.slow
 def test_a_comparison_by_hand(entry: Entry) -> None:
     worse, better = [0.1, 0.2, 0.3, 0.4], [0.35, 0.45, 0.55, 0.65]
     blocks = blocks_of([like(entry, "worse", worse), like(entry, "better", better)])

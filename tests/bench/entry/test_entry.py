@@ -25,6 +25,7 @@ def entry(tmp_path_factory: pytest.TempPathFactory) -> Entry:
     return score(bundle, "attention", episodes=3, max_cycles=6)
 
 
+@pytest.mark.slow
 def test_round_trip(tmp_path: Path, entry: Entry) -> None:
     path = write_entry(tmp_path, entry)
     assert path.name.startswith("small.attention.")

@@ -54,6 +54,7 @@ def differing(name: str, n_agents: int, sizes: list[int], seed: int = 0) -> list
         return [n for n in sizes if not torch.equal(step(teams[order[:n]], None)[0], alone[order[:n]])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NETWORKS)
 @settings(max_examples=8, deadline=None)
 @given(

@@ -64,6 +64,7 @@ def test_an_animation_is_removed_with_its_entry(board: Path) -> None:
     assert not animation_file.exists()
 
 
+@pytest.mark.slow
 def test_no_animation_is_drawn_if_the_installed_weights_differ(
     board: Path, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:

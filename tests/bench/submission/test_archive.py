@@ -126,6 +126,7 @@ def test_a_name_with_a_null_byte_is_refused(tmp_path: Path) -> None:
     assert "'entries/a.json\\x00.txt', which is no file of a bundle" in finding
 
 
+@pytest.mark.slow
 def test_a_folder_with_links_and_pipes_is_refused(
     tmp_path: Path, files: Mapping[str, bytes], pack: Pack
 ) -> None:

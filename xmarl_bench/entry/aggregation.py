@@ -72,8 +72,9 @@ def control_metrics(
 ) -> ControlMetrics:
     """Aggregate a control's episodes.
 
-    played: rows of the first episodes, in which the team was rolled out. absences: how many of these were also
-    played under the other absence models. Metrics without such episodes are not measured.
+    played: rows of the first episodes, in which the team was rolled out.
+    absences: how many of these were also played under the other absence models.
+    Metrics without such episodes are not measured.
     """
     values = {name: [getattr(row, name) for row in rows] for name in ExplanationRow.model_fields}
     values |= {name: [getattr(row, name) for row in played] for name in BehaviourRow.model_fields}

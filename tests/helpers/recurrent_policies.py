@@ -36,30 +36,37 @@ def remembering(
     )
 
 
-def random_weights(architecture: LayeredArchitecture, seed: int = 0) -> dict[str, Tensor]:
+def random_weights(architecture: LayeredArchitecture) -> dict[str, Tensor]:
     """Weights large enough that messages and memories matter."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     return {
         name: torch.randn(shape, generator=generator) * 0.6
         for name, shape in weight_shapes(architecture).items()
     }
 
 
-def recurrent_policy(architecture: LayeredArchitecture, seed: int = 0) -> GraphPolicy | LayeredPolicy:
+def recurrent_policy(architecture: LayeredArchitecture) -> GraphPolicy | LayeredPolicy:
     """A policy with random weights; GATv2 of one head takes the fast path."""
-    return build_policy(architecture, random_weights(architecture, seed))
+    return build_policy(architecture, random_weights(architecture))
+
+
+@torch.no_grad()
+def drawn(network: nn.Module) -> None:
+    """Set all parameters to random numbers, the same in every process."""
+    generator = torch.Generator().manual_seed(0)
+    for parameter in network.parameters():
+        parameter.copy_(torch.randn(parameter.shape, generator=generator) * 0.6)
 
 
 class AttentionThenGru(nn.Module):
     """Messages go into an agent's memory, from which it computes its action."""
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.layer = GATv2Conv(6, 8, add_self_loops=False)
-            self.gru = nn.GRUCell(8, 5)
-            self.decoder = nn.Linear(5, 4)
+        self.layer = GATv2Conv(6, 8, add_self_loops=False)
+        self.gru = nn.GRUCell(8, 5)
+        self.decoder = nn.Linear(5, 4)
+        drawn(self)
 
     def initial_state(self, n: int) -> Tensor:
         return torch.zeros(n, 5)
@@ -72,13 +79,12 @@ class AttentionThenGru(nn.Module):
 class LstmThenAttention(nn.Module):
     """Observations go into an agent's memory, from which messages are computed."""
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.lstm = nn.LSTMCell(6, 5)
-            self.layer = GATv2Conv(5, 8, heads=2, add_self_loops=False)
-            self.decoder = nn.Linear(16, 4)
+        self.lstm = nn.LSTMCell(6, 5)
+        self.layer = GATv2Conv(5, 8, heads=2, add_self_loops=False)
+        self.decoder = nn.Linear(16, 4)
+        drawn(self)
 
     def initial_state(self, n: int) -> tuple[Tensor, Tensor]:
         return torch.zeros(n, 5), torch.ones(n, 5)

@@ -23,12 +23,15 @@ from xmarl_baselines.explainers.influence import influence
 from tests.baselines.reference import by_pyg
 from tests.helpers.deep_policies import Opened, one_layer, transformers, two_layers, with_a_lonely_timestep
 from tests.helpers.policies import random_observations, small_policy
+from tests.helpers.recurrent_policies import random_weights, recurrent_policy, remembering
 from tests.helpers.shipped import ready, shipped_explainers, shipped_plugins
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.messages_only import SUFFIX
 from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.policy import GraphPolicy, ModulePolicy, Policy
+from xmarl_bench.policy.build import LayeredPolicy
+from xmarl_bench.policy.layers import LayeredNetwork
 
 SHIPPED = shipped_explainers()
 # PyG's own, unmodified: the first leaves settings on its class, which the next one could pick up.
@@ -212,6 +215,19 @@ def test_the_generic_path_gives_what_the_fast_path_gives(
     generic = run(explainer, opened, observations, 3)
     # Small changes of actions, divided by the row's largest, amplify float32's rounding.
     torch.testing.assert_close(fast, generic, rtol=0, atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cell", "after"), [("lstm", 0), ("gru", 1)])
+@each
+def test_the_paths_agree_on_policies_that_remember(explainer: Explainer, cell: str, after: int) -> None:
+    architecture = remembering(cell, after)
+    fast, network = recurrent_policy(architecture), LayeredNetwork(architecture)
+    network.load_state_dict(random_weights(architecture))
+    observations = random_observations(4, 3, 6 + fast.memory_dim)
+    one = run(explainer, fast, observations, 3)
+    other = run(explainer, LayeredPolicy(architecture, network), observations, 3)
+    torch.testing.assert_close(one, other, rtol=0, atol=1e-3)
 
 
 @pytest.mark.slow

@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 import torch
 
+from tests.bench.policy.test_memory import torchrl_key_map
 from tests.helpers.policies import random_observations
 from xmarl_bench import CompleteGraph, PolicyModule, load_policy, score
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.plugins.registry import open_policy
-from xmarl_bench.policy.architecture import MAX_LAYER_WIDTH
+from xmarl_bench.policy.architecture import MAX_LAYER_WIDTH, Memory
 from xmarl_bench.policy.convert import rename
 from xmarl_bench.policy.shapes import MAX_PARAMETERS
 from xmarl_bench.submission.consistency import entry_findings
@@ -68,9 +69,24 @@ def test_the_discrete_policy_of_the_page_is_scored() -> None:
     assert entry.protocol != continuous.protocol  # they share no table
 
 
-def test_the_key_map_of_the_page_is_valid() -> None:
-    (text,) = blocks("json")
-    assert rename({}, json.loads(text)) == {}
+def test_the_recurrent_network_of_the_page_is_accepted(tmp_path: Path) -> None:
+    (text,) = [text for text in blocks("python") if "initial_state" in text]
+    (tmp_path / "mine.py").write_text(text)
+    policy, card = open_policy(f"{tmp_path}/mine.py:make", trust_code=True)
+    assert policy.memory_dim == 32
+    entry = score((policy, card), "attention", episodes=1, timesteps=3, max_cycles=4, behaviour_episodes=0)
+    assert list(entry_findings(entry)) == []
+
+
+def test_the_memory_of_the_page_is_a_record() -> None:
+    (text,) = re.findall(r'`"memory": ({.*})`', PAGE)
+    assert Memory.model_validate_json(text).after == 0
+
+
+def test_the_key_maps_of_the_page_are_valid() -> None:
+    benchmarl, torchrl = (json.loads(text) for text in blocks("json"))
+    assert rename({}, benchmarl) == {}
+    assert torchrl == torchrl_key_map("gru")
 
 
 def test_bounds_are_those_of_the_code() -> None:

@@ -34,7 +34,8 @@ class Explain(Protocol):
         """(S, N, D) float32 observations of one episode -> mask (S, N, N) in [0, 1].
 
         mask[s, i, j] is how much edge j -> i (sender j, receiver i; the diagonal is the agent's own edge)
-        matters at timestep s. `policy` is a private copy; all randomness must come from `generator`.
+        matters at timestep s. `policy` is a private copy; all randomness must come from `generator`. The
+        last `policy.memory_dim` of the D entries are what an agent remembers at that timestep.
         """
 
 

@@ -6,8 +6,8 @@ dict, and its `data` holds the architecture as plain JSON; its pickles are never
 
 A key map renames tensors. It maps a prefix of their names to a new prefix, or to null for tensors to drop;
 the longest matching prefix counts. New names are those of `weight_shapes`: `encoder.<k>.*`, `layers.<k>.*`
-(with torch_geometric's names) and `decoder.<k>.*`, or `gat.*` for the one layer of an `Architecture`. An
-actor of TorchRL or BenchMARL is a `LayeredArchitecture` whose `scale` is "torchrl".
+(with torch_geometric's names), `memory.*` (torch's) and `decoder.<k>.*`, or `gat.*` for the one layer of an
+`Architecture`. An actor of TorchRL or BenchMARL is a `LayeredArchitecture` whose `scale` is "torchrl".
 """
 
 from __future__ import annotations

@@ -33,7 +33,8 @@ class PolicyModule:
         Normal and the scale before the biased softplus; (n, A) if `distribution` is "deterministic"; a logit
         for each of the five actions of xmarl_envs.actions if it is "categorical". The rows are agents of one
         team or of many at once; they may interact in torch_geometric's message-passing layers only, which
-        pass one message for each edge.
+        pass one message for each edge. A network with memory has `initial_state` and `step` instead of
+        forward, see xmarl_bench.policy.recurrent.
     distribution: "tanh_normal", "normal", "deterministic" or "categorical", see ActionDistribution.
     graph: which agents hear which.
     attention_entropy: weight of the attention-entropy term in training, 0 without it.

@@ -38,7 +38,9 @@ def step_teams(policy: Policy) -> StepTeams:
         return _AllAtOnce(private)
 
     def one_by_one(observation: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor]:
-        steps = [private.step(team.clone(), mask) for team in observation.split(1)]
+        # Strides count too: an axis of size 1 may have any, and products choose their way by them.
+        teams = [team.clone(memory_format=torch.contiguous_format) for team in observation.split(1)]
+        steps = [private.step(team, mask) for team in teams]
         choices, memories = zip(*((taken.choice, memory) for taken, memory in steps), strict=True)
         return torch.cat(choices), torch.cat(memories)
 

@@ -193,61 +193,69 @@ def test_a_memory_after_a_missing_layer_is_refused() -> None:
         remembering("rnn", 0)
 
 
-class TorchRLActor(nn.Module):
-    """TorchRL's own GRU after a graph layer, its MLP and its head."""
+def torchrl_key_map(cell: str) -> dict[str, str]:
+    """Of the actor below."""
+    names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+    of_cell = {f"rnn.{cell}.{name}_l0": f"memory.{name}" for name in names}
+    return {"gnn.": "layers.0.", **of_cell, "mlp.": "decoder."}
 
-    def __init__(self) -> None:
-        from torchrl.modules import (
+
+class TorchRLActor(nn.Module):
+    """A graph layer, then TorchRL's own GRU or LSTM, its MLP and its head."""
+
+    def __init__(self, cell: str) -> None:
+        from torchrl.modules import (  # takes a second, and only this test needs it
             MLP,
             GRUModule,
+            LSTMModule,
             NormalParamExtractor,
-        )  # takes a second, and only this test needs it
+        )
 
         super().__init__()
         self.gnn = GATv2Conv(6, 8, add_self_loops=False)
-        self.rnn = GRUModule(
+        states = ["h"] if cell == "gru" else ["h", "c"]
+        self.rnn = (GRUModule if cell == "gru" else LSTMModule)(
             input_size=8,
             hidden_size=5,
-            in_keys=["heard", "state", "is_init"],
-            out_keys=["out", ("next", "state")],
+            in_keys=["heard", *states, "is_init"],
+            out_keys=["out", *(("next", state) for state in states)],
         )
         self.mlp = MLP(in_features=5, out_features=4, num_cells=[9], activation_class=nn.Tanh)
         self.head = NormalParamExtractor()
 
-    def forward(self, x: Tensor, state: Tensor, *, first: bool) -> tuple[Tensor, Tensor, Tensor]:
-        n = len(x)
-        out, state = self.rnn(self.gnn(x, complete_graph(n)), state[:, None], torch.full((n, 1), first))
+    def forward(self, x: Tensor, memory: Tensor, *, first: bool) -> tuple[Tensor, Tensor, Tensor]:
+        n, states = len(x), [state[:, None] for state in memory.split(5, dim=1)]
+        heard = self.gnn(x, complete_graph(n))
+        out, *after = self.rnn(heard, *states, torch.full((n, 1), first))
         loc, scale = self.head(self.mlp(out))
-        return loc, scale, state[:, 0]
+        return loc, scale, torch.cat([state[:, 0] for state in after], dim=-1)
 
 
 @pytest.mark.slow
-def test_a_recurrent_actor_of_torchrl(tmp_path: Path, run_cli: RunCli) -> None:
+@CELLS
+def test_a_recurrent_actor_of_torchrl(cell: str, tmp_path: Path, run_cli: RunCli) -> None:
     torch.manual_seed(0)
-    actor = TorchRLActor()
+    actor = TorchRLActor(cell)
     torch.save(actor.state_dict(), tmp_path / "actor.pt")
     architecture = LayeredArchitecture.model_validate(
         {
             "obs_dim": 6,
             "layers": ({"conv": "GATv2Conv", "width": 8, "activation": "identity"},),
-            "memory": {"cell": "gru", "width": 5, "after": 1},
+            "memory": {"cell": cell, "width": 5, "after": 1},
             "decoder": (9,),
             "decoder_activation": "tanh",
             "scale": "torchrl",
         }
     )
-    key_map = {"gnn.": "layers.0.", "mlp.": "decoder."}
-    for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
-        key_map[f"rnn.gru.{name}_l0"] = f"memory.{name}"
     (tmp_path / "a.json").write_text(json.dumps(architecture.model_dump()))
-    (tmp_path / "m.json").write_text(json.dumps(key_map))
+    (tmp_path / "m.json").write_text(json.dumps(torchrl_key_map(cell)))
     ran = run_cli(
         "convert", tmp_path / "actor.pt", "--out", tmp_path / "rl", "--task", "blind_navigation_v0",
         "--architecture", tmp_path / "a.json", "--key-map", tmp_path / "m.json",
     )  # fmt: skip
     assert ran.code == 0, ran.err
     policy, _ = load_policy(tmp_path / "rl")
-    ours, theirs = policy.initial_state(3), torch.zeros(3, 5)
+    ours = theirs = policy.initial_state(3)
     with torch.no_grad():
         for t, x in enumerate(random_observations(4, 3, 6)):
             loc, scale, theirs = actor(x, theirs, first=t == 0)

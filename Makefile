@@ -18,6 +18,7 @@ OUT ?= results
 ifdef ALL
 OTHERS := attention-rowmax gnn_explainer gnn_explainer-tuned gradient graphmask graphmask-pyg influence \
 	integrated_gradients occlusion shapley
+OTHERS += $(addsuffix -messages,gnn_explainer gnn_explainer-tuned gradient graphmask integrated_gradients occlusion shapley)
 SCORE_OPTIONS ?= --policy finished --explainer all $(OTHERS:%=--no-behaviour %)
 else
 OTHERS := gnn_explainer graphmask

@@ -17,8 +17,8 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from torch import Tensor
-from xmarl_baselines.explainers.attention import attention
-from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
+from xmarl_baselines.explainers.attention import attention_mask
+from xmarl_baselines.explainers.attention_rowmax import attention_rowmax_mask
 from xmarl_envs import TASKS, make_task
 
 from xmarl_bench.explain.absence import reference_states
@@ -49,8 +49,8 @@ MASKS: dict[str, Explain] = {
     "random in [0.9, 1]": squeezed_mask,
     "all ones": ones_mask,
     "self edge only": self_mask,
-    "attention": attention.explain,
-    "attention / row max": attention_rowmax.explain,
+    "attention": attention_mask,
+    "attention / row max": attention_rowmax_mask,
 }
 Row = dict[str, float]
 

@@ -16,8 +16,8 @@ class SeparateSpaces:
         self._task = task
         self._spaces: list[SlottedSpace | None] = [None] * n_episodes
 
-    def place(self, episodes: NDArray[np.intp], agents: Floats, walls: Floats) -> None:
-        """Begin episodes (E,) with agents (E, N, 2) at rest and walls (E, W, 2).
+    def place(self, episodes: NDArray[np.intp], agents: Floats, velocity: Floats, walls: Floats) -> None:
+        """Begin episodes (E,) with agents (E, N, 2), their velocity (E, N, 2) and walls (E, W, 2).
 
         Each gets a new Space, so that earlier episodes cannot influence it.
         """
@@ -28,7 +28,7 @@ class SeparateSpaces:
             else:
                 space.renew()
             space.agents[0, :, :2] = agents[row]
-            space.agents[0, :, 2:] = 0.0
+            space.agents[0, :, 2:] = velocity[row]
             space.walls[0, :, :2] = walls[row]
             space.write()
 

@@ -35,7 +35,7 @@ class SharedSpaces:
         self._touched: Bools = np.zeros(n_episodes, dtype=np.bool_)  # (B,) in the last step
         self._pairs = np.triu_indices(task.n_agents, k=1)
 
-    def place(self, episodes: NDArray[np.intp], agents: Floats, walls: Floats) -> None:
+    def place(self, episodes: NDArray[np.intp], agents: Floats, velocity: Floats, walls: Floats) -> None:
         """Begin episodes (E,): they fly freely until their first contact."""
         slots = self._slot[episodes]
         self._occupant[slots[slots != NO_SLOT]] = COOLING

@@ -92,6 +92,18 @@ class VectorEnv:
             self.cycles[which] = 0
         return self.observe()
 
+    def restart(self, seed: int, position: Floats, velocity: Floats) -> NDArray[np.float32]:
+        """Begin all episodes in the middle of the one with this seed; returns all observations (B, N, D).
+
+        position, velocity: (B, N, 2), m and m/s, of the agents. Targets and walls are those of the seed;
+        cycles count from here.
+        """
+        layout = self.task.spawn(np.random.default_rng(seed))
+        self._targets[:], self._walls[:] = layout.targets, layout.walls
+        self.world.place(np.arange(self.n_episodes), position, self._walls, velocity)
+        self.cycles[:] = 0
+        return self.observe()
+
     def observe(self) -> NDArray[np.float32]:
         return self.task.observe(self._state).astype(np.float32)
 

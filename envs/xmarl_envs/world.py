@@ -42,12 +42,17 @@ class World:
         else:
             self._spaces = SharedSpaces(task, n_episodes, self.copies_per_space)
 
-    def place(self, episodes: NDArray[np.intp], agents: Floats, walls: Floats) -> None:
-        """Put the agents (E, N, 2) and walls (E, W, 2) of the given episodes; all velocities become 0."""
+    def place(
+        self, episodes: NDArray[np.intp], agents: Floats, walls: Floats, velocity: Floats | None = None
+    ) -> None:
+        """Put the agents (E, N, 2) and walls (E, W, 2) of the given episodes.
+
+        velocity: (E, N, 2), of the agents; None is at rest.
+        """
         self.position[episodes] = agents
-        self.velocity[episodes] = 0.0
+        self.velocity[episodes] = 0.0 if velocity is None else velocity
         self._walls[episodes] = walls
-        self._spaces.place(episodes, agents, walls)
+        self._spaces.place(episodes, agents, self.velocity[episodes], walls)
 
     def step(self, force: Floats, live: Bools | None = None) -> None:
         """Advance by TIME_STEP under constant forces (B, N, 2) in newton.

@@ -144,3 +144,24 @@ def test_episodes_that_do_not_exist_are_refused(episodes: list[float]) -> None:
 def test_an_empty_batch_is_refused(n_episodes: int, copies: int) -> None:
     with pytest.raises(ValueError, match="n_episodes and copies_per_space must be at least 1"):
         VectorEnv(make_task("blind_navigation_v0", 3), n_episodes, copies_per_space=copies)
+
+
+@tasks
+def test_an_episode_restarted_in_the_middle_goes_on_to_the_bit(name: str) -> None:
+    """While nothing touches: a Space then holds nothing but positions and velocities."""
+    env = VectorEnv(make_task(name, 1), 1)
+    action = np.array([[[0.3, -0.8]]])
+    env.reset([4])
+    for _ in range(5):
+        env.step(action)
+    copies = VectorEnv(make_task(name, 1), 2)
+    copies.reset([8, 9])
+    position, velocity = (np.repeat(each, 2, axis=0) for each in env.state[:2])
+    observation = copies.restart(4, position, velocity)
+    assert np.array_equal(observation, np.repeat(env.observe(), 2, axis=0))
+    assert np.abs(velocity).min() > 0.0
+    for _ in range(5):
+        one, two = env.step(action), copies.step(np.repeat(action, 2, axis=0))
+        for mine, others in zip(one, two, strict=True):
+            assert np.array_equal(others, np.repeat(mine, 2, axis=0))
+    assert copies.cycles.tolist() == [5, 5]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from tests.helpers.policies import random_observations
 from xmarl_bench.explain.explainer import Explainer, fit_explainer
 from xmarl_bench.plugins.registry import EXPLAINERS
 from xmarl_bench.policy import Policy
+from xmarl_bench.rollout.simulator import Simulator
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -28,6 +30,10 @@ def shipped_explainers() -> list[Explainer]:
 
 
 def ready(explainer: Explainer, policy: Policy, observations: Tensor) -> Explainer:
-    """The explainer as scoring would run it on such observations (S, N, D): fitted where it needs that."""
+    """The explainer as scoring would run it on such observations (S, N, 6) of navigation.
+
+    Fitted if it learns, and with a simulator.
+    """
     _, n_agents, obs_dim = observations.shape
-    return fit_explainer(explainer, policy, random_observations(40, n_agents, obs_dim, 9), 0)
+    fitted = fit_explainer(explainer, policy, random_observations(40, n_agents, obs_dim, 9), 0)
+    return replace(fitted, simulator=Simulator("blind_navigation_v0", n_agents, 0))

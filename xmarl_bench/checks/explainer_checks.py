@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Final
 
 import torch
@@ -23,16 +24,18 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import (
     Explainer,
     as_floats,
+    explain_of,
     finite,
     run_explainer,
     seen,
 )
-from xmarl_bench.explain.fitting import fit_states, fitted
+from xmarl_bench.explain.fitting import FIRST_FIT_SEED, FIT_EPISODES, fit_states, fitted
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread, seeded
 from xmarl_bench.rollout.cell import spaced_timesteps
+from xmarl_bench.rollout.simulator import Simulator
 
 ROUNDING: Final = 1e-4  # rounding of matrix products depends on the size of the batch
 SLOW_MS: Final = 20.0  # CPU time per timestep: twice the limit of `slow`, because machines differ
@@ -49,9 +52,11 @@ def check_explainer(
     Raises InputError if the explainer cannot be fitted.
     """
     with one_thread():
-        states = fit_states(policy, task, n_agents)
+        # One that simulates is given the simulator of one episode, and the states of no other.
+        states = fit_states(policy, task, n_agents, episodes=1 if explainer.simulates else FIT_EPISODES)
         states = states[torch.from_numpy(spaced_timesteps(len(states), timesteps))]
         ready = fitted(explainer, policy, task, n_agents, SEED)
+        ready = replace(ready, simulator=Simulator(task, n_agents, FIRST_FIT_SEED))
         yield from run_checks(CHECKS, ExplainerSubject(ready, policy, states))
 
 
@@ -173,6 +178,8 @@ def team_sizes(subject: ExplainerSubject) -> str:
     own, obs_dim = subject.observations.shape[1:]
     if subject.explainer.fit is not None:
         raise NotApplicable(f"it was fitted on teams of {own}.")
+    if subject.explainer.simulates:
+        raise NotApplicable(f"its simulator is that of a team of {own}.")
     generator = torch.Generator().manual_seed(SEED)
     sizes = [n for n in (1, 2, 5) if n != own]
     for n in sizes:
@@ -249,7 +256,7 @@ def _call(subject: ExplainerSubject, policy: Policy, observations: Tensor) -> No
     explainer, generator = subject.explainer, torch.Generator().manual_seed(SEED)
     with torch.enable_grad():
         for x in [observations] if explainer.batched else observations:
-            explainer.explain(seen(explainer, policy), x, generator)
+            explain_of(explainer)(seen(explainer, policy), x, generator)
 
 
 def _one_thread(work: tuple[Explainer, Policy, Tensor]) -> Tensor:

@@ -177,7 +177,11 @@ def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> Non
     )
     if tau is not None:
         print(f"Kendall's tau of AUROC and message fidelity over explainers: {tau:.2f}.")
+    errors: dict[str, list[str]] = {}
     for each in found:
         if each.error is not None:
-            print(f"{each.explainer} on {each.family}, {each.n_agents} agents: {each.error}")
+            errors.setdefault(each.error, []).append(f"{each.family} of {each.n_agents}")
+    for error, where in errors.items():
+        n_others = len(where) - 1
+        print(f"{where[0]}{f' and {n_others} more' if n_others else ''}: {error}")
     print(f"All numbers in {out / 'planted.json'}.")

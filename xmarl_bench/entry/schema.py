@@ -69,7 +69,8 @@ class ExplainerRecord(Record):
     binary: bool = False  # masks of zeros and ones
     signed: Text | None = None  # formula that maps signed attributions to masks; None: not signed
     needs_fit: bool = False  # fitted on other states before it explains
-    accesses: Literal["black-box", "gradients", "attention"] | None = None  # to the policy; None: undeclared
+    # To the policy, or to the episode's simulator as well; None: undeclared.
+    accesses: Literal["black-box", "gradients", "attention", "simulator"] | None = None
     code: Text | None = None  # link to its code
     code_sha256: Sha256 | None = None  # of the file that it was loaded from
 

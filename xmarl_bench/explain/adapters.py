@@ -27,9 +27,11 @@ from torch_geometric.explain import AttentionExplainer, CaptumExplainer, Explain
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Access, Explain, Explainer, Fit, Scalar
 from xmarl_bench.explain.pyg import Copies, PygExplain, PygFit
+from xmarl_bench.explain.simulated import SIMULATOR, Simulated
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin, origin_of
 from xmarl_bench.policy import Policy
+from xmarl_bench.rollout.simulator import Simulator
 
 PARAMETERS = ("policy", "observations", "generator")
 
@@ -92,14 +94,14 @@ def as_explainer(thing: object = None, /, **declared: Unpack[Declared]) -> Any:
 
 @dataclass(frozen=True)
 class Named:
-    """Calls `function` with those of policy, observations and generator that its parameters name."""
+    """Calls `function` with those of policy, observations, generator, simulator that its parameters name."""
 
     function: Callable[..., Tensor]
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, name: str, function: Callable[..., Any]) -> Named:
-        """Raises InputError if another parameter has no default."""
+    def of(cls, name: str, function: Callable[..., Any], given: tuple[str, ...] = PARAMETERS) -> Named:
+        """given: what parameters may name. Raises InputError if another parameter has no default."""
         try:
             parameters = list(inspect.signature(function).parameters.values())
         except (TypeError, ValueError):
@@ -109,7 +111,7 @@ class Named:
             ) from None
         optional = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
         needed = [p for p in parameters if p.default is p.empty and p.kind not in optional]
-        taken = [p for p in parameters if p.name in PARAMETERS and p.kind is not p.POSITIONAL_ONLY]
+        taken = [p for p in parameters if p.name in given and p.kind is not p.POSITIONAL_ONLY]
         strange = [p.name for p in needed if p not in taken]
         if strange or not taken:
             got = ", ".join(p.name for p in parameters) or "nothing"
@@ -119,9 +121,22 @@ class Named:
             )
         return cls(function, tuple(p.name for p in taken))
 
-    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator, /) -> Tensor:
-        given = {"policy": policy, "observations": observations, "generator": generator}
+    def __call__(
+        self,
+        policy: Policy,
+        observations: Tensor,
+        generator: torch.Generator,
+        simulator: Simulator | None = None,
+        /,
+    ) -> Tensor:
+        given = dict(zip((*PARAMETERS, SIMULATOR), (policy, observations, generator, simulator), strict=True))
         return self.function(**{name: given[name] for name in self.names})
+
+
+def explain_by_name(name: str, function: Callable[..., Any]) -> Explain | Simulated:
+    """What calls such a function, with the simulator if it names that. Raises InputError as `Named.of`."""
+    called = Named.of(name, function, (*PARAMETERS, SIMULATOR))
+    return Simulated(called) if SIMULATOR in called.names else called
 
 
 @dataclass(frozen=True)
@@ -131,10 +146,12 @@ class FitByMethod:
     name: str
     owner: Any
 
-    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Explain:
+    def __call__(
+        self, policy: Policy, observations: Tensor, generator: torch.Generator
+    ) -> Explain | Simulated:
         fitted = copy.deepcopy(self.owner)
         Named.of(self.name, fitted.fit)(policy, observations, generator)
-        return Named.of(self.name, getattr(fitted, "explain", fitted))
+        return explain_by_name(self.name, getattr(fitted, "explain", fitted))
 
 
 def origin_of_explainer(explainer: Explainer) -> Origin:
@@ -142,6 +159,8 @@ def origin_of_explainer(explainer: Explainer) -> Origin:
     if explainer.origin is not None:
         return explainer.origin
     explain: object = explainer.explain
+    if isinstance(explain, Simulated):
+        explain = explain.function
     if isinstance(explain, Named):
         explain = explain.function
     if isinstance(explain, PygExplain) and isinstance(explain.algorithm, Copies):
@@ -164,7 +183,7 @@ def _made(
             )
         Named.of(f"{name}.fit", owner.fit)
         fit = FitByMethod(fields["name"], owner)
-    return Explainer(explain=Named.of(name, explain), fit=fit, **fields)
+    return Explainer(explain=explain_by_name(name, explain), fit=fit, **fields)
 
 
 def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explainer:

@@ -16,11 +16,13 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.pyg import class_settings_kept
+from xmarl_bench.explain.simulated import Simulated
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.black_box import BlackBox
 from xmarl_bench.reproducible import seeded
+from xmarl_bench.rollout.simulator import Simulator
 
 Scalar = bool | int | float | str | None
 Access = Literal["black-box", "attention", "gradients"]
@@ -39,8 +41,8 @@ class Explain(Protocol):
         """
 
 
-# (policy, observations (S, N, D) that no score uses, generator) -> an `Explain` for this policy.
-Fit = Callable[[Policy, Tensor, torch.Generator], Explain]
+# (policy, observations (S, N, D) that no score uses, generator) -> what explains this policy.
+Fit = Callable[[Policy, Tensor, torch.Generator], "Explain | Simulated"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Explainer:
     """
 
     name: str
-    explain: Explain
+    explain: Explain | Simulated
     summary: str = ""  # one line
     stochastic: bool = False  # another seed gives another mask
     slow: bool = False  # more than about 10 ms per timestep: a run may give it fewer episodes
@@ -68,8 +70,14 @@ class Explainer:
     absence: Absence | None = None
     fit: Fit | None = None  # learns once per policy, from states that no score uses
     fitted_on: Tensor | None = field(default=None, compare=False, repr=False)  # (S, N, D)
+    simulator: Simulator | None = field(default=None, compare=False, repr=False)  # of the episode explained
     # Set if it was found by name; None for an object passed in Python, see `origin_of_explainer`.
     origin: Origin | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def simulates(self) -> bool:
+        """Whether it plays on from the states that it explains: it needs the simulator of their episode."""
+        return isinstance(self.explain, Simulated)
 
 
 def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
@@ -91,7 +99,7 @@ def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed
     if explainer.fit is not None and explainer.fitted_on is None:
         raise InputError(f"explainer {explainer.name!r} is not fitted: fit it with `fit_explainer` first.")
     n_steps, n_agents, _ = observations.shape
-    name, explain = explainer.name, explainer.explain
+    name, explain = explainer.name, explain_of(explainer)
 
     def run(generator: torch.Generator) -> object:
         if explainer.batched:
@@ -122,6 +130,23 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
         lambda generator: fit(seen(explainer, copy.deepcopy(policy)), observations.clone(), generator),
     )
     return replace(explainer, explain=fitted, fitted_on=observations)
+
+
+def explain_of(explainer: Explainer) -> Explain:
+    """What is called, with the simulator at hand if the explainer simulates.
+
+    Raises InputError if it does and has none.
+    """
+    explain, simulator = explainer.explain, explainer.simulator
+    if not isinstance(explain, Simulated):
+        return explain
+    if simulator is None:
+        raise InputError(
+            f"explainer {explainer.name!r} plays on in the world of an episode, and these states have none: "
+            f"leave it out."
+        )
+    function, world = explain.function, simulator
+    return lambda policy, observations, generator: function(policy, observations, generator, world)
 
 
 def seen(explainer: Explainer, policy: Policy) -> Policy:

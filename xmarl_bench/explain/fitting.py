@@ -24,14 +24,12 @@ FIT_TIMESTEPS: Final = 20
 FIRST_FIT_SEED: Final = 2**30
 
 
-def fit_states(policy: Policy, task: str, n_agents: int) -> Tensor:
-    """(S, N, D) observations to fit an explainer on."""
-    seeds = tuple(range(FIRST_FIT_SEED, FIRST_FIT_SEED + FIT_EPISODES))
-    episodes = Rollout(policy, task, n_agents, seeds, None).play()
+def fit_states(policy: Policy, task: str, n_agents: int, episodes: int = FIT_EPISODES) -> Tensor:
+    """(S, N, D) observations to fit an explainer on, of that many episodes."""
+    seeds = tuple(range(FIRST_FIT_SEED, FIRST_FIT_SEED + episodes))
+    played = Rollout(policy, task, n_agents, seeds, None).play()
     return torch.tensor(
-        np.concatenate(
-            [each.observations[spaced_timesteps(each.makespan, FIT_TIMESTEPS)] for each in episodes]
-        )
+        np.concatenate([each.observations[spaced_timesteps(each.makespan, FIT_TIMESTEPS)] for each in played])
     )
 
 

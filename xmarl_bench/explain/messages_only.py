@@ -16,6 +16,7 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer
 from xmarl_bench.explain.explainer import Explain, Explainer, Fit
+from xmarl_bench.explain.simulated import Simulated
 from xmarl_bench.policy import ActionDistribution, Policy
 
 SUFFIX = "-messages"
@@ -74,25 +75,33 @@ def messages_only(thing: object) -> Explainer:
             f"batched to explain messages only."
         )
 
-    def asked(explain: Explain) -> Explain:
-        def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-            return _with_own(explain(OwnKept(policy), observations, generator))
-
-        return about_messages
-
     return replace(
         explainer,
         name=f"{explainer.name}{SUFFIX}",
-        explain=asked(explainer.explain),
+        explain=_asked(explainer.name, explainer.explain),
         summary=f"{explainer.summary}; an agent always hears itself",
         hyperparameters={**explainer.hyperparameters, "own_edge": "kept"},
-        fit=None if explainer.fit is None else _asked_of(explainer.fit),
+        fit=None if explainer.fit is None else _asked_when_fitted(explainer.name, explainer.fit),
         origin=None,
     )
 
 
-def _asked_of(fit: Fit) -> Fit:
+def _asked(name: str, explain: Explain | Simulated) -> Explain:
+    """Raises InputError for one that plays on, where messages are those that the team sends."""
+    if isinstance(explain, Simulated):
+        raise InputError(
+            f"explainer {name!r} plays on in the world of an episode: it cannot be asked about messages "
+            f"alone."
+        )
+
+    def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
+        return _with_own(explain(OwnKept(policy), observations, generator))
+
+    return about_messages
+
+
+def _asked_when_fitted(name: str, fit: Fit) -> Fit:
     def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Explain:
-        return fit(OwnKept(policy), observations, generator)
+        return _asked(name, fit(OwnKept(policy), observations, generator))
 
     return about_messages

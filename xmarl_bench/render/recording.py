@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
 from xmarl_bench.rollout.episodes import chooser, initial_state, with_actions_of
+from xmarl_bench.rollout.simulator import Simulator
 
 Floats = NDArray[np.float32]
 
@@ -47,7 +48,9 @@ class Recording:
                 f"explainer {explainer.name!r} explains policies, but the team is {self.team!r}: "
                 f"choose a policy, or leave the explainer out."
             )
-        explainer = fitted(explainer, self.policy, self.task.name, self.task.n_agents, self.run_seed)
+        task, n_agents = self.task.name, self.task.n_agents
+        explainer = fitted(explainer, self.policy, task, n_agents, self.run_seed)
+        explainer = replace(explainer, simulator=Simulator(task, n_agents, self.seed))
         seed = derived_seed("explainer", self.run_seed, explainer.name, self.seed)
         with one_thread():
             observations = torch.tensor(self.observations[np.asarray(cycles)])

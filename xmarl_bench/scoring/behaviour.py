@@ -45,10 +45,12 @@ BLOCK = 50  # episodes: the protocol's, in one batch
 SMALLEST_TEAM = 3  # smaller teams have no two messages to choose between
 
 
-def why_no_behaviour(n_agents: int) -> str | None:
-    """Why a team of this size cannot be rolled out; None if it can."""
+def why_no_behaviour(explainer: Explainer, n_agents: int) -> str | None:
+    """Why a team of this size cannot be rolled out on its explanations; None if it can."""
     if n_agents < SMALLEST_TEAM:
         return f"needs {SMALLEST_TEAM} agents, so that there are messages to choose between, got {n_agents}"
+    if explainer.simulates:
+        return "the explainer plays on in recorded episodes, and these are not recorded yet"
     return None
 
 

@@ -41,7 +41,10 @@ def _reasons(request: Request, cell: Cell, observations: Tensor) -> Iterator[tup
     yield Need.DISTRIBUTION, reason if deterministic else None
     stochastic = request.explainer.stochastic
     yield Need.SEEDS, None if stochastic else "the explainer says that it is not stochastic"
-    reason = why_no_behaviour(n_agents) or "not asked for, since it asks the explainer at every step"
+    reason = (
+        why_no_behaviour(request.explainer, n_agents)
+        or "not asked for, since it asks the explainer at every step"
+    )
     yield Need.PLAYED, None if request.behaviours(cell) else reason
     yield Need.WALLS, None if TASKS[cell.task].n_walls else "the task has no walls"
     try:

@@ -37,7 +37,7 @@ class Request:
 
     def behaviours(self, cell: Cell) -> int:
         """The number of episodes of the cell that are played on the explanation."""
-        if why_no_behaviour(cell.n_agents) is not None:
+        if why_no_behaviour(self.explainer, cell.n_agents) is not None:
             return 0
         if self.behaviour_episodes is None:
             return 0 if self.explainer.slow else self.sampling.episodes

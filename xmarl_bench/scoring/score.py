@@ -19,6 +19,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.simulated import SIMULATOR
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.plugins.registry import checked_name, find_explainer, open_policy
@@ -219,6 +220,6 @@ def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:
         binary=explainer.binary,
         signed=NORMALISER if explainer.signed else None,
         needs_fit=explainer.fit is not None,
-        accesses=explainer.accesses,
+        accesses=SIMULATOR if explainer.simulates else explainer.accesses,
         code_sha256=origin.code_sha256,
     )

@@ -20,6 +20,7 @@ from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.rollout.episodes import Episode, Rollout
+from xmarl_bench.rollout.simulator import Simulator
 from xmarl_bench.scoring.behaviour import BehaviourBlock, Played
 from xmarl_bench.scoring.measure import Explained, Measured, Unit
 from xmarl_bench.scoring.pieces import Environment, Piece
@@ -189,7 +190,7 @@ class Sweep:
         return tuple(
             Unit(
                 environment.policy,
-                tuple(self._ready[environment, name] for name in names),
+                tuple(self._in_world(name, environment, episode) for name in names),
                 episode,
                 environment.seed,
                 piece.timesteps,
@@ -200,6 +201,11 @@ class Sweep:
             )
             for k, episode in enumerate(self.results.episodes(source), start=piece.block.first)
         )
+
+    def _in_world(self, name: str, environment: Environment, episode: Episode) -> Explainer:
+        """The explainer, fitted to the policy, with the simulator of the episode."""
+        simulator = Simulator(environment.cell.task, environment.cell.n_agents, episode.seed)
+        return replace(self._ready[environment, name], simulator=simulator)
 
     def _reference(self, environment: Environment) -> Tensor | None:
         if environment not in self._references:

@@ -8,7 +8,7 @@ every row, aggregate and control. What was not measured yet when an entry was ma
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 
 import numpy as np
@@ -24,6 +24,7 @@ from xmarl_bench.metrics.table import OPTIONAL
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
+from xmarl_bench.rollout.simulator import Simulator
 from xmarl_bench.scoring.cell_result import NOT_PLAYED, episode_row
 from xmarl_bench.scoring.measure import Explained, Unit
 from xmarl_bench.scoring.request import Request
@@ -99,8 +100,9 @@ def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen:
     reference = reference_states(request.policy, cell.task, cell.n_agents)
     for k, episode, mute in zip(chosen, *(each.play() for each in rollouts), strict=True):
         sanity = k < SANITY_EPISODES
+        ready = replace(explainer, simulator=Simulator(cell.task, cell.n_agents, episode.seed))
         unit = Unit(
-            request.policy, (explainer,), episode, sampling.seed, sampling.timesteps, sanity, reference,
+            request.policy, (ready,), episode, sampling.seed, sampling.timesteps, sanity, reference,
             controls_of(cell.task, request.card),
         )  # fmt: skip
         measured = unit.run()

@@ -27,8 +27,10 @@ from torch import Tensor
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explain
+from xmarl_bench.explain.simulated import SIMULATOR, Simulated
 from xmarl_bench.policy import Policy
 from xmarl_bench.records.strict_json import shown
+from xmarl_bench.rollout.simulator import Simulator
 from xmarl_bench.submission.limits import Limits, Wall, environment, python_folders, strongest, walled
 
 MAX_HEADER, MAX_MASKS = 64 * 1024, 1 << 30
@@ -46,6 +48,7 @@ class Sandbox:
     limits: Limits = field(default_factory=Limits)
     wall: Wall = field(default_factory=strongest)
     process: subprocess.Popen[bytes] | None = None
+    simulates: bool = False  # once it is started: whether the explainer asks for simulators
 
     def start(self) -> dict[str, Any]:
         """What the explainer says of itself: the fields of `ExplainerRecord`.
@@ -65,26 +68,36 @@ class Sandbox:
             env=environment(),
             start_new_session=True,
         )
-        return self._receive()[0]
+        declared = self._receive()[0]
+        self.simulates = declared.get("accesses") == SIMULATOR
+        return declared
+
+    def explains(self, fitted: str | None = None) -> Explain | Simulated:
+        """What asks the process. fitted: the key of what `fit` left there, to explain instead."""
+        explain = partial(self.explain, fitted=fitted)
+        return Simulated(explain) if self.simulates else explain
 
     def explain(
-        self, policy: Policy, observations: Tensor, generator: torch.Generator, *, fitted: str | None = None
+        self,
+        policy: Policy,
+        observations: Tensor,
+        generator: torch.Generator,
+        simulator: Simulator | None = None,
+        *,
+        fitted: str | None = None,
     ) -> Tensor:
-        """(S, N, D) -> (S, N, N), not checked yet: `run_explainer` does that, as with any other.
-
-        fitted: the key of what `fit` left in the process, to explain instead.
-        """
-        header, payload = self._ask("explain", policy, observations, generator, fitted)
+        """(S, N, D) -> (S, N, N), not checked yet: `run_explainer` does that, as with any other."""
+        header, payload = self._ask("explain", policy, observations, generator, fitted, simulator)
         shape = header.get("shape")
         n_steps, n_agents, _ = observations.shape
         if shape != [n_steps, n_agents, n_agents] or len(payload) != 4 * n_steps * n_agents**2:
             raise InputError(f"explainer {shown(self.explainer)} answered with no mask: correct it.")
         return torch.tensor(np.frombuffer(payload, dtype="<f4").reshape(shape))
 
-    def fit(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Explain:
+    def fit(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Explain | Simulated:
         """(S, N, D) states to be fitted on -> the explainer of this policy, as it stays in the process."""
-        header, _ = self._ask("fit", policy, observations, generator, None)
-        return partial(self.explain, fitted=str(header.get("key")))
+        header, _ = self._ask("fit", policy, observations, generator)
+        return self.explains(str(header.get("key")))
 
     def close(self) -> None:
         """End the process, and whatever it started in its session."""
@@ -110,10 +123,11 @@ class Sandbox:
         policy: Policy,
         observations: Tensor,
         generator: torch.Generator,
-        fitted: str | None,
+        fitted: str | None = None,
+        simulator: Simulator | None = None,
     ) -> tuple[dict[str, Any], bytes]:
         """Send one question and wait for its answer. The generator is told by its seed: it is a new one."""
-        question = (what, policy, observations.numpy(), generator.initial_seed(), fitted)
+        question = (what, policy, observations.numpy(), generator.initial_seed(), fitted, simulator)
         data = pickle.dumps(question)
         try:
             stdin = self._pipe("stdin")

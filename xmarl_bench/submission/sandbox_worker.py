@@ -11,6 +11,7 @@ import pickle
 import struct
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import IO, Any
@@ -58,7 +59,7 @@ class Worker:
         return explainer_record(self.explainer, 0).model_dump(mode="json"), b""
 
     def answer(
-        self, what: str, policy: Any, observations: Any, seed: int, fitted: str | None
+        self, what: str, policy: Any, observations: Any, seed: int, fitted: str | None, simulator: Any
     ) -> tuple[dict[str, Any], bytes]:
         """A mask (S, N, N) as float32 bytes, or the key of what was fitted."""
         import torch
@@ -67,7 +68,7 @@ class Worker:
         from xmarl_bench.reproducible import one_thread
 
         x = torch.tensor(observations)
-        explainer = self.explainer if fitted is None else self.fitted[fitted]
+        explainer = replace(self.explainer if fitted is None else self.fitted[fitted], simulator=simulator)
         with one_thread():
             if what == "fit":
                 key = str(len(self.fitted))

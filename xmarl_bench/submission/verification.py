@@ -175,7 +175,7 @@ def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[Explai
     declared = ExplainerRecord.model_validate(sandbox.start(), strict=False)
     explainer = Explainer(
         name=declared.name,
-        explain=sandbox.explain,
+        explain=sandbox.explains(),
         stochastic=declared.stochastic,
         binary=declared.binary,
         hyperparameters=declared.hyperparameters,

@@ -26,7 +26,7 @@ from tests.helpers.policies import random_observations, small_policy
 from tests.helpers.recurrent_policies import random_weights, recurrent_policy, remembering
 from tests.helpers.shipped import ready, shipped_explainers, shipped_plugins
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.explainer import Explainer, run_explainer
+from xmarl_bench.explain.explainer import Explainer, explain_of, run_explainer
 from xmarl_bench.explain.messages_only import SUFFIX
 from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.policy import GraphPolicy, ModulePolicy, Policy
@@ -56,7 +56,7 @@ def run(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -
 
 def straight(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
     """Without the harness's own copies around it."""
-    explain = made_ready(explainer, policy, observations).explain
+    explain = explain_of(made_ready(explainer, policy, observations))
     return explain(policy, observations, torch.Generator().manual_seed(seed))
 
 
@@ -78,8 +78,8 @@ def everything_of(module: nn.Module) -> dict[str, Any]:
 def test_every_explainer_has_a_file_that_names_its_paper() -> None:
     names = {explainer.name for explainer in SHIPPED}
     assert {name for name in names if not name.endswith(SUFFIX)} == {
-        "attention", "attention-rowmax", "gnn_explainer", "gnn_explainer-tuned", "gradient", "graphmask",
-        "graphmask-pyg", "influence", "integrated_gradients", "occlusion", "shapley",
+        "agent-shapley", "attention", "attention-rowmax", "gnn_explainer", "gnn_explainer-tuned", "gradient",
+        "graphmask", "graphmask-pyg", "influence", "integrated_gradients", "occlusion", "shapley",
     }  # fmt: skip
     for plugin in shipped_plugins():
         module = __import__(plugin.module, fromlist=["_"])

@@ -164,6 +164,19 @@ def test_more_draws_give_more_stable_ranks() -> None:
     assert (many[0] - many[1]).abs().mean() < 0.5 * (few[0] - few[1]).abs().mean()
 
 
+def test_categoricals_are_mixed_exactly() -> None:
+    def categorical(*probabilities: list[float]) -> ActionDistribution:
+        loc = torch.tensor(probabilities)[:, None].log()
+        return ActionDistribution(loc, torch.zeros_like(loc), "categorical")
+
+    even = categorical([0.5, 0.5])._replace(loc=torch.tensor([[0.5, 0.5]]).log())
+    # Each message leads to another action for sure; half of them to each, as it is without knowing.
+    assert float(kl_to_mixture(even, categorical([1 - 1e-9, 1e-9], [1e-9, 1 - 1e-9]))) < 1e-6
+    likely = even._replace(loc=torch.tensor([[0.9, 0.1]]).log())
+    expected = 0.9 * math.log(0.9 / 0.5) + 0.1 * math.log(0.1 / 0.5)
+    assert float(kl_to_mixture(likely, categorical([0.9, 0.1], [0.1, 0.9]))) == pytest.approx(expected)
+
+
 def test_a_deterministic_policy_is_refused() -> None:
     one = ActionDistribution(torch.zeros(1, 1, 1), torch.zeros(1, 1, 1), "deterministic")
     with pytest.raises(InputError, match="the policy is deterministic"):

@@ -15,7 +15,7 @@ from xmarl_baselines.explainers.shapley import shapley_messages
 from tests.helpers.policies import random_masks, random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import signed_to_unit
-from xmarl_bench.explain.explainer import Explainer, run_explainer
+from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.explain.messages_only import OwnKept, messages_only
 from xmarl_bench.plugins.registry import find_explainer
 
@@ -102,7 +102,11 @@ def test_fitting_uses_agents_that_hear_themselves() -> None:
 
     def fit(policy: object, observations: Tensor, generator: torch.Generator) -> object:
         seen.append(type(policy))
-        return lambda policy, x, generator: torch.ones(*x.shape[:2], x.shape[1])
+        return zeros
+
+    def zeros(policy: object, observations: Tensor, generator: torch.Generator) -> Tensor:
+        seen.append(type(policy))
+        return torch.zeros(*observations.shape[:2], observations.shape[1])
 
     def explain(policy: object, observations: Tensor, generator: torch.Generator) -> Tensor:
         raise AssertionError("it is fitted first")
@@ -110,8 +114,11 @@ def test_fitting_uses_agents_that_hear_themselves() -> None:
     made = messages_only(Explainer("mine", explain, fit=fit))  # type: ignore[arg-type]
     assert made.name == "mine-messages"
     assert made.fit is not None
-    made.fit(small_policy(6), random_observations(2, 3, 6), torch.Generator())
-    assert seen == [OwnKept]
+    observations = random_observations(2, 3, 6)
+    fitted = fit_explainer(made, small_policy(6), observations, 0)
+    mask = run_explainer(fitted, small_policy(6), observations, 0)
+    assert seen == [OwnKept, OwnKept]
+    assert torch.equal(mask, torch.eye(3).expand(2, 3, 3))
 
 
 def test_functions_work_and_explainers_that_get_the_network_are_refused() -> None:

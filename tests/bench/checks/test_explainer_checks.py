@@ -21,11 +21,12 @@ from tests.helpers.example_plugins import BAD
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench import as_explainer
 from xmarl_bench.checks import Finding, explainer_checks, run_checks
-from xmarl_bench.checks.explainer_checks import CHECKS
+from xmarl_bench.checks.explainer_checks import CHECKS, check_explainer
 from xmarl_bench.checks.explainer_subject import ExplainerSubject
 from xmarl_bench.checks.peak_memory import peak_memory
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import GraphPolicy, Policy
+from xmarl_bench.rollout.simulator import Simulator
 
 PROCESS = "another process, same mask"
 CALLS = [0]
@@ -55,6 +56,18 @@ def attended_one(observations: Tensor, policy: Policy) -> Tensor:
 
 def noisy(observations: Tensor, policy: Policy, generator: torch.Generator) -> Tensor:
     return policy.attention(observations) * torch.rand(len(observations), 1, 1, generator=generator)
+
+
+@pytest.mark.slow
+def test_what_plays_on_is_checked_in_the_world_of_one_episode() -> None:
+    def ahead(observations: Tensor, policy: Policy, simulator: Simulator) -> Tensor:
+        position = torch.from_numpy(simulator.restart(policy, observations).state.position).float()
+        return policy.attention(observations) * torch.exp(-torch.cdist(position, position))
+
+    findings = check_explainer(as_explainer(ahead), small_policy(6), "blind_navigation_v0", 3, 6)
+    by_name = {each.check: each for each in findings}
+    assert [name for name, each in by_name.items() if each.passed is False] == []
+    assert by_name["other team sizes"].message == "its simulator is that of a team of 3."
 
 
 @pytest.mark.slow

@@ -28,9 +28,12 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import kebab, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
+from xmarl_bench.explain.messages_only import messages_only
+from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.plugins.registry import checked_name
 from xmarl_bench.policy import Policy
+from xmarl_bench.rollout.simulator import Simulator
 
 QUICK = {"episodes": 2, "timesteps": 2, "max_cycles": 5, "behaviour_episodes": 0}
 POLICY, OBSERVATIONS = small_policy(6), random_observations(4, 3, 6)
@@ -224,6 +227,42 @@ class Learner:
         return torch.sigmoid(self.mean + self.noise).expand(len(observations), 3, 3)
 
 
+def test_who_names_a_simulator_is_given_that_of_the_episode() -> None:
+    def wherever(observations: Tensor, simulator: Simulator, policy: Policy) -> Tensor:
+        """Agents that are where they were observed."""
+        found = torch.from_numpy(simulator.restart(policy, observations).state.position).float()
+        return torch.eye(3) * (found - observations[..., :2]).abs().amax(dim=(1, 2), keepdim=True).lt(1e-6)
+
+    class Learned:
+        needs_fit = True
+
+        def fit(self, observations: Tensor) -> None:
+            self.seen = len(observations)
+
+        def explain(self, policy: Policy, observations: Tensor, simulator: Simulator) -> Tensor:
+            assert self.seen == len(OBSERVATIONS)
+            return wherever(observations, simulator, policy)
+
+    plain, fitted = as_explainer(wherever), fit_explainer(as_explainer(Learned), POLICY, OBSERVATIONS, 0)
+    simulator = Simulator("blind_navigation_v0", 3, 7)
+    for explainer in (plain, fitted):
+        assert explainer.simulates
+        with pytest.raises(InputError, match=f"{explainer.name}' plays on in the world of an episode"):
+            run_explainer(explainer, POLICY, OBSERVATIONS, 0)
+        mask = run_explainer(replace(explainer, simulator=simulator), POLICY, OBSERVATIONS, 0)
+        assert torch.equal(mask, torch.eye(3).expand_as(mask))
+    assert not as_explainer(attended).simulates
+    assert origin_of_explainer(plain).entry_point.endswith("wherever")
+    with pytest.raises(InputError, match="cannot be asked about messages alone"):
+        messages_only(wherever)
+
+    class Clairvoyant(Learner):
+        def fit(self, observations: Tensor, simulator: Simulator) -> None: ...  # type: ignore[override]
+
+    with pytest.raises(InputError, match=r"takes \(observations, simulator\)"):
+        as_explainer(Clairvoyant)
+
+
 def test_an_explainer_that_learns_is_fitted_first_on_a_copy() -> None:
     mine = Learner()
     explainer = as_explainer(mine)
@@ -278,7 +317,8 @@ def test_settings_of_an_algorithm_are_recorded_and_not_overwritten_by_another() 
     one = as_explainer(GraphMaskExplainer(1, epochs=2, log=False, node_feat_size=3.0))
     GraphMaskExplainer(1, node_feat_size=77.0)  # PyG keeps these on the class
     assert one.hyperparameters["node_feat_size"] == 3.0
-    assert one.explain.algorithm().coeffs["node_feat_size"] == 3.0  # type: ignore[attr-defined]
+    assert isinstance(one.explain, PygExplain)
+    assert one.explain.algorithm().coeffs["node_feat_size"] == 3.0
     assert as_explainer(GNNExplainer(epochs=3, edge_size=0.25)).hyperparameters.items() >= {
         "epochs": 3, "lr": 0.01, "edge_size": 0.25,
     }.items()  # fmt: skip

@@ -63,3 +63,15 @@ def test_the_command_writes_the_same_bytes_again(run_cli: RunCli, tmp_path: Path
     assert {each["family"] for each in json.loads(written)["found"]} == set(FAMILIES)
     assert run_cli("score", "--suite", "planted", "--explainer", "attention", "--out", str(out)).code == 0
     assert (out / "planted.json").read_bytes() == written
+
+
+@pytest.mark.slow
+def test_one_that_needs_a_world_is_left_out_in_one_sentence(run_cli: RunCli, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "def imagined(observations, simulator):\n    raise AssertionError('there is no world')\n"
+    )
+    own = f"{tmp_path / 'own.py'}:imagined"
+    ran = run_cli("score", "--suite", "planted", "--explainer", own, "--out", tmp_path / "out")
+    assert ran.code == 0, ran.err
+    assert ran.out.count("explainer 'imagined' plays on in the world of an episode") == 1
+    assert "one-sender of 4 and 17 more: explainer 'imagined'" in ran.out

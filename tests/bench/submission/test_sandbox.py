@@ -15,6 +15,7 @@ from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.plugins.registry import find_explainer
+from xmarl_bench.rollout.simulator import Simulator
 from xmarl_bench.submission.limits import Limits, Wall, strongest
 from xmarl_bench.submission.sandbox import Sandbox
 
@@ -88,7 +89,7 @@ def test_masks_are_the_same_and_harmful_acts_are_refused(
         declared = sandbox.start()
         assert [declared[name] for name in ("name", "stochastic", "needs_fit")] == ["stranger", True, True]
         assert declared["entry_point"] == "stranger.py:stranger"
-        proxy = fit_explainer(Explainer("stranger", sandbox.explain, fit=sandbox.fit), policy, x, 3)
+        proxy = fit_explainer(Explainer("stranger", sandbox.explains(), fit=sandbox.fit), policy, x, 3)
         for seed in (0, 1):
             assert torch.equal(run_explainer(own, policy, x, seed), run_explainer(proxy, policy, x, seed))
         refusals = {
@@ -119,6 +120,32 @@ def test_masks_are_the_same_and_harmful_acts_are_refused(
         assert sandbox.process is None
         with pytest.raises(InputError, match="ended"):
             doing(0)
+
+
+SIMULATED = """
+import torch
+
+def imagined(observations, policy, simulator):
+    env = simulator.restart(policy, observations)
+    for _ in range(3):
+        env.step(policy.distribution(torch.from_numpy(env.observe())).action.detach().numpy())
+    position = torch.from_numpy(env.state.position).float()
+    return torch.exp(-torch.cdist(position, position))
+"""
+
+
+def test_strangers_play_on_behind_the_wall_too(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(SIMULATED)
+    name, policy, x = f"{tmp_path / 'own.py'}:imagined", small_policy(6), random_observations(5, 3, 6)
+    with Sandbox(name) as sandbox:
+        assert sandbox.start()["accesses"] == "simulator"
+        proxy = Explainer("imagined", sandbox.explains())
+        for seed in (1, 2):
+            simulator = Simulator("blind_navigation_v0", 3, seed)
+            own, theirs = (replace(each, simulator=simulator) for each in (find_explainer(name), proxy))
+            assert torch.equal(run_explainer(own, policy, x, 0), run_explainer(theirs, policy, x, 0))
+        with pytest.raises(InputError, match="plays on in the world of an episode"):
+            run_explainer(proxy, policy, x, 0)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,55 @@
+"""The world of one episode, restarted at any moment that its team observed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+from xmarl_envs import VectorEnv, make_task
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.policy import Policy
+from xmarl_bench.rollout.episodes import with_actions_of
+
+STATE_NAMES = ("position_x", "position_y", "velocity_x", "velocity_y")  # entries of an observation
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """Restarts an episode's world.
+
+    Agents are where their observations say, targets and walls where the seed puts them. Observations are
+    float32, and the contacts that the engine remembers are lost: a restarted episode agrees with the recorded
+    one up to rounding, which a contact amplifies.
+    """
+
+    task: str
+    n_agents: int
+    seed: int  # of the episode
+
+    def restart(self, policy: Policy, observations: Tensor) -> VectorEnv:
+        """(B, N, D) observations of this episode -> B copies of its world, each at the moment observed.
+
+        They take the actions that the policy chooses, continuous or discrete ones. Every copy has its own
+        physics, so what happens in it does not depend on the others. Raises InputError for observations of
+        another team, or of a task that does not observe positions and velocities.
+        """
+        task = with_actions_of(policy, make_task(self.task, self.n_agents))
+        missing = [name for name in STATE_NAMES if name not in task.observation_names]
+        if missing:
+            raise InputError(
+                f"{self.task} cannot be restarted, because agents do not observe {', '.join(missing)}: "
+                f"choose another task or explainer."
+            )
+        if observations.shape[1] != self.n_agents:
+            raise InputError(
+                f"a world of {self.n_agents} agents cannot be restarted with observations of "
+                f"{observations.shape[1]}: give those of its own team."
+            )
+        entries = [task.observation_names.index(name) for name in STATE_NAMES]
+        state: NDArray[np.float64] = observations[..., entries].double().numpy()
+        env = VectorEnv(task, len(observations))
+        env.restart(self.seed, state[..., :2], state[..., 2:])
+        return env

@@ -12,7 +12,7 @@ class InputError(ValueError):
 
 def unknown(kind: str, name: str, choices: Iterable[str], hint: str = "") -> InputError:
     """The error for a name that is not among the choices: the nearest choice, then all of them."""
-    listed = list(choices)
+    listed = [str(each) for each in choices]
     near = difflib.get_close_matches(name, listed, n=1)
     choose = f"did you mean {near[0]!r}? Choose" if near else "choose"
     others = f"{choose} one of {', '.join(listed)}" if listed else "none is installed"

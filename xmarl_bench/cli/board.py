@@ -18,7 +18,7 @@ def build(
         bool,
         typer.Option(
             "--animations",
-            help="First draw the animations that are missing: minutes, and policies are played.",
+            help="First draw missing animations, which plays policies and takes minutes.",
         ),
     ] = False,
 ) -> None:
@@ -28,7 +28,7 @@ def build(
     from xmarl_bench.render.board_animations import draw_missing
 
     if not (folder / "entries").is_dir():
-        raise InputError(f"there is no folder {folder / 'entries'}: give the folder of a leaderboard.")
+        raise InputError(f"folder {folder / 'entries'} does not exist: give the folder of a leaderboard.")
     if animations:
         for line in draw_missing(folder):
             print(line, flush=True)
@@ -37,7 +37,7 @@ def build(
 
 @board.command()
 def check(folder: Folder = Path("leaderboard")) -> None:
-    """Exit with 1 where a derived file is not what the entries say; animations are not drawn again."""
+    """Check that the derived files fit the entries, else exit with 1. Does not draw animations again."""
     from xmarl_bench.board import check_board
 
     found = check_board(folder)
@@ -46,22 +46,22 @@ def check(folder: Folder = Path("leaderboard")) -> None:
     if found:
         print(f"Run: xmarl-bench board build {folder}")
         raise typer.Exit(1)
-    print(f"{folder}: everything derived is what the entries say.")
+    print(f"{folder}: all derived files fit the entries.")
 
 
 @board.command()
 def serve(
     folder: Folder = Path("leaderboard"),
-    port: Annotated[int, typer.Option(help="0 takes a free one.", min=0, max=65535)] = 8000,
+    port: Annotated[int, typer.Option(help="Port; 0: a free one.", min=0, max=65535)] = 8000,
 ) -> None:
-    """Serve the page on this machine alone, until interrupted."""
+    """Serve the page on this machine only, until interrupted."""
     from functools import partial
     from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
     from xmarl_bench.errors import InputError
 
     if not (folder / "index.html").is_file():
-        raise InputError(f"there is no {folder / 'index.html'}: run xmarl-bench board build {folder}.")
+        raise InputError(f"{folder / 'index.html'} does not exist: run xmarl-bench board build {folder}.")
     handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
     try:
         server = ThreadingHTTPServer(("127.0.0.1", port), handler)

@@ -7,12 +7,12 @@ import typer
 from xmarl_bench.cli.options import AsJson, CacheFolder
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER, Cache
 
-cache = typer.Typer(help="See what the cache holds, or empty it.", invoke_without_command=True)
+cache = typer.Typer(help="Show the size of the cache, or empty it.", invoke_without_command=True)
 
 
 @cache.callback()
 def show(context: typer.Context, folder: CacheFolder = DEFAULT_FOLDER, as_json: AsJson = False) -> None:
-    """See its folder, how many pieces it holds, their size, and how many are of the installed version."""
+    """Show the folder of the cache, the number and size of its pieces, and how many fit this version."""
     if context.invoked_subcommand is not None:
         return
     from dataclasses import asdict
@@ -29,7 +29,7 @@ def show(context: typer.Context, folder: CacheFolder = DEFAULT_FOLDER, as_json: 
 
 @cache.command()
 def clear(folder: CacheFolder = DEFAULT_FOLDER) -> None:
-    """Delete every piece and the records of runs; nothing else that lies in the folder."""
+    """Delete all pieces and records of runs. Keeps other files in the folder."""
     known = Cache(folder)
     size = known.size("")
     known.clear()

@@ -1,4 +1,4 @@
-"""`xmarl-bench check explainer|policy`: exit code 1 where a check fails."""
+"""`xmarl-bench check explainer|policy`: exit code 1 if a check fails."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from xmarl_bench.checks import Finding
 
 check = typer.Typer(
-    name="check", help="Check an explainer or a policy as a referee would.", no_args_is_help=True
+    name="check", help="Check an explainer or a policy before it is scored.", no_args_is_help=True
 )
 
 
@@ -21,21 +21,21 @@ check = typer.Typer(
 def check_explainer(
     name: Annotated[str, typer.Argument(help="Explainer name, path/to/file.py:Name or module:Name.")],
     policy: Annotated[
-        str | None, typer.Option(help="Policy to explain; the first one that is installed by default.")
+        str | None, typer.Option(help="Policy to explain; by default the first one installed.")
     ] = None,
     timesteps: Annotated[int, typer.Option(min=2, help="States to explain; no score uses them.")] = 20,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check that an explainer's masks are masks, repeat, and leave no traces; 1 where a check fails."""
+    """Check that an explainer's masks are valid and repeat, without side effects. Exit code 1: one failed."""
     from xmarl_bench.checks.explainer_checks import check_explainer as run
-    from xmarl_bench.errors import unknown
+    from xmarl_bench.errors import InputError
     from xmarl_bench.plugins.registry import find_explainer, find_policies, open_policy
 
     explainer = find_explainer(name)
     chosen = policy if policy is not None else next(iter(find_policies()), None)
     if chosen is None:
-        raise unknown("policy", "", [], "so give --policy a bundle")
+        raise InputError("no policy is installed: give the folder of a policy bundle with --policy.")
     network, card = open_policy(chosen, trust_code=trust_code)
     findings = run(explainer, network, card.task, card.n_agents, timesteps)
     report(f"explainer {explainer.name} on {card.name}", findings, as_json=as_json)
@@ -46,11 +46,11 @@ def check_policy(
     name: Annotated[str, typer.Argument(help="Policy name, folder or zip of a bundle, or module:factory.")],
     agents: Annotated[int | None, typer.Option(help="Team size; the policy's own by default.")] = None,
     timesteps: Annotated[int, typer.Option(min=2, help="States to try; no score uses them.")] = 20,
-    episodes: Annotated[int, typer.Option(min=2, help="Episodes to play beside random actions.")] = 20,
+    episodes: Annotated[int, typer.Option(min=2, help="Episodes to compare with random actions.")] = 20,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check that a policy is one function of a blind team that meets in messages; 1 where a check fails."""
+    """Check that agents share one function and interact through messages only. Exit code 1: one failed."""
     from xmarl_bench.checks.policy_checks import check_policy as run
     from xmarl_bench.plugins.registry import open_policy
     from xmarl_bench.rollout.cell import Cell
@@ -64,7 +64,7 @@ def check_policy(
 
 
 def report(subject: str, findings: Iterable[Finding], *, as_json: bool) -> None:
-    """Print the findings on `subject`; raises typer.Exit(1) where a check failed."""
+    """Print the findings on `subject`. Raises typer.Exit(1) if a check failed."""
     from rich.table import Table
 
     from xmarl_bench.cli.tables import console, print_json

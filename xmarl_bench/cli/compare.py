@@ -20,13 +20,13 @@ def compare(
     ],
     metric: Annotated[
         list[str] | None,
-        typer.Option(help="What to compare by, the order of the leaderboard by default. Repeatable."),
+        typer.Option(help="Metric to compare by; the leaderboard's order by default. Repeatable."),
     ] = None,
-    entries: Annotated[Path, typer.Option(help="Folder where explainers' names are looked up.")] = Path(
+    entries: Annotated[Path, typer.Option(help="Folder of the entries of explainers given by name.")] = Path(
         "leaderboard/entries"
     ),
     plot: Annotated[
-        Path | None, typer.Option(help="Picture to write: .png, .svg or .pdf (needs the extra 'plots').")
+        Path | None, typer.Option(help="Picture to write: .png, .svg or .pdf; needs the extra 'plots'.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -14,25 +14,25 @@ def convert(
         typer.Argument(help="State dict of torch.save, safetensors, or checkpoint.zip of xmarl-train."),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Folder of the bundle to write; without it the tensors are listed.")
+        Path | None, typer.Option(help="Folder of the bundle to write; without it, list the tensors.")
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the policy; the folder's by default.")] = None,
     task: Annotated[str | None, typer.Option(help="Task it was trained for.")] = None,
     agents: Annotated[int, typer.Option(help="Team size it was trained for.")] = 3,
     architecture: Annotated[
         Path | None,
-        typer.Option(help="Architecture record as JSON; a checkpoint of xmarl-train holds its own."),
+        typer.Option(help="Architecture record as JSON; checkpoints of xmarl-train hold their own."),
     ] = None,
     key_map: Annotated[
         Path | None,
-        typer.Option(help="JSON object: beginning of a tensor's name there -> here, null to leave it out."),
+        typer.Option(help="JSON object: prefix of tensor names -> new prefix, or null to drop the tensors."),
     ] = None,
     attention_entropy: Annotated[
         float, typer.Option(help="Weight lambda of the attention-entropy term in training.")
     ] = 0.0,
     training_seed: Annotated[int | None, typer.Option(help="Seed of its training.")] = None,
 ) -> None:
-    """Make a policy bundle of weights that others saved. Nothing in the file is executed."""
+    """Convert weights saved by other tools to a policy bundle. Executes nothing in the file."""
     from pydantic import ValidationError
 
     from xmarl_bench.cli import tables
@@ -47,12 +47,12 @@ def convert(
         tables.print_rows([{"tensor": key, "shape": str(tuple(t.shape))} for key, t in tensors.items()])
         return
     if task is None:
-        raise InputError("a policy is for a task: give --task.")
+        raise InputError("a bundle needs the task that its policy was trained for: give --task.")
     check_task(task)
     recorded = reading.sb3_architecture(weights, tensors) if architecture is None else None
     record = reading.read_architecture(architecture) if architecture is not None else recorded
     if record is None:
-        raise InputError(f"{weights} does not say what network it is of: give --architecture.")
+        raise InputError(f"{weights} does not hold an architecture: give --architecture.")
     default = reading.SB3_KEYS if recorded is not None else {"": ""}
     renamed = reading.rename(tensors, default if key_map is None else reading.read_key_map(key_map))
     policy = build_policy(record, reading.dense(renamed, weight_shapes(record)))
@@ -69,6 +69,6 @@ def convert(
         )
     except ValidationError as error:
         first = error.errors()[0]
-        raise InputError(f"no policy can have this {first['loc'][0]}: {first['msg']}.") from None
+        raise InputError(f"the policy's {first['loc'][0]} is invalid: {first['msg']}.") from None
     left_out = len(tensors) - len(renamed)
-    print(f"{out}: policy {card.name!r} of {len(renamed)} tensors, {left_out} left out.")
+    print(f"{out}: policy {card.name!r} of {len(renamed)} tensors, {left_out} dropped.")

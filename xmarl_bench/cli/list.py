@@ -33,5 +33,5 @@ def list_(kind: Annotated[Kind, typer.Argument(help="What to list.")], as_json: 
         tables.print_json(rows)
     elif rows or not failures:
         tables.print_rows(rows)
-    if failures:  # one plugin that does not load hides no other
+    if failures:  # after the rows: a plugin that fails to load does not hide others
         raise InputError(" And ".join(map(str, failures)))

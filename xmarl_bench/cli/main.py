@@ -1,4 +1,4 @@
-"""The command line: parses, calls, prints. What is wrong with the input is one sentence and exit code 2."""
+"""The command line: parses, calls, prints. Invalid input gives one message and exit code 2."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def main() -> None:
         print(f"xmarl-bench: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
-        print("xmarl-bench: stopped; scores that are finished are kept for the next run.", file=sys.stderr)
+        print("xmarl-bench: stopped; the next run continues from what is finished.", file=sys.stderr)
         raise SystemExit(130) from None
     finally:
         end_workers()

@@ -15,11 +15,11 @@ class Kind(StrEnum):
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(help="What the package brings.")],
+    kind: Annotated[Kind, typer.Argument(help="What the package registers.")],
     name: Annotated[str, typer.Argument(help="Its name, such as my-explainer.")],
     out: Annotated[Path | None, typer.Option(help="Folder to write; ./NAME by default.")] = None,
 ) -> None:
-    """Write a small installable package with a test and an entry point, which passes its own check."""
+    """Write a small installable package with an entry point and a test that passes."""
     from xmarl_bench.plugins.new_package import write_package
 
     folder = Path(name) if out is None else out

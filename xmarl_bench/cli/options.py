@@ -1,4 +1,4 @@
-"""Options that several commands take."""
+"""Options shared by several commands."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Policies = Annotated[
     list[str],
     typer.Option(
         "--policy",
-        help="Policy name, folder or zip of a bundle, module:factory, 'all', 'finished': all but checkpoints "
-        "along training, a family ('residual', 'paper'), or 'default': the best residual seed of each task, "
-        "team size and with or without regulariser. Repeatable.",
+        help="Policy name, folder or zip of a bundle, module:factory, 'all', 'finished' (all but checkpoints "
+        "along training), a family ('residual', 'paper'), or 'default' (the best residual seed for each task "
+        "and team size, with and without regulariser). Repeatable.",
     ),
 ]
 Explainers = Annotated[
@@ -27,28 +27,26 @@ Explainers = Annotated[
     ),
 ]
 Episodes = Annotated[int, typer.Option(help="Episodes per policy.")]
-MaxCycles = Annotated[int | None, typer.Option(help="Steps per episode; the task's own number by default.")]
-Seed = Annotated[int, typer.Option(help="Chooses the episodes, and seeds the explainers.")]
+MaxCycles = Annotated[int | None, typer.Option(help="Steps per episode; the task's default if not given.")]
+Seed = Annotated[int, typer.Option(help="Seed of the episodes and of the explainers.")]
 Jobs = Annotated[
     int | None,
-    typer.Option(
-        help="Processes, none of which changes a result; 1 by default, with --backend every worker there is."
-    ),
+    typer.Option(help="Processes; 1 by default, or every worker of a cluster. Changes no result."),
 ]
 Backend = Annotated[
     Literal["loky", "ray", "dask"],
-    typer.Option(help="Where processes run: on this machine (loky), or on a cluster of Ray or Dask."),
+    typer.Option(help="Where processes run: on this machine (loky), or on a Ray or Dask cluster."),
 ]
 Address = Annotated[
     str | None,
-    typer.Option(help="host:port of the cluster of --backend; one is started on this machine by default."),
+    typer.Option(help="host:port of the cluster of --backend; by default, start one on this machine."),
 ]
-Parallel = Annotated[int, typer.Option(help="Episodes stepped side by side in a process. Changes no result.")]
+Parallel = Annotated[int, typer.Option(help="Episodes stepped in parallel in a process. Changes no result.")]
 TrustCode = Annotated[
     bool,
     typer.Option(
         "--trust-code",
-        help="Take policies that bring code of their own (module:factory, or a package's), and run it.",
+        help="Run the code of policies that have their own (module:factory, or of an installed package).",
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -56,6 +54,4 @@ CacheFolder = Annotated[
     Path,
     typer.Option("--cache", envvar="XMARL_BENCH_CACHE", help="Folder of the cache that all runs share."),
 ]
-Resume = Annotated[
-    bool, typer.Option(help="Take pieces from the cache; with --no-resume they are computed again.")
-]
+Resume = Annotated[bool, typer.Option(help="Use pieces in the cache; --no-resume computes them again.")]

@@ -17,15 +17,15 @@ def render(
     ] = "heuristic",
     explainer: Annotated[str | None, typer.Option(help="Explainer to draw over the team.")] = None,
     agents: Annotated[int | None, typer.Option(help="Team size; the policy's own by default, or 3.")] = None,
-    seed: Annotated[int, typer.Option(help="As of `score`, whose episodes these are.")] = 0,
-    episode: Annotated[int, typer.Option(help="Which of the episodes that `score` plays, from 0.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of a `score` run, which plays the same episodes.")] = 0,
+    episode: Annotated[int, typer.Option(help="Number of the episode in that run, from 0.")] = 0,
     max_cycles: MaxCycles = None,
     trust_code: TrustCode = False,
     out: Annotated[
         Path, typer.Option(help="File to write: .gif, .avif (small), .mp4, or .png, a sheet of six moments.")
     ] = Path("episode.gif"),
 ) -> None:
-    """Draw an episode, and over it who influences whom according to an explainer."""
+    """Draw an episode, and an explainer's masks over it: who influences whom."""
     from xmarl_bench.plugins.registry import find_explainer
     from xmarl_bench.render.animation import check_target, write_animation
     from xmarl_bench.render.recording import record

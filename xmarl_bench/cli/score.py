@@ -51,13 +51,13 @@ def score(
     behaviour_episodes: Annotated[
         int | None,
         typer.Option(
-            help="Episodes that the team also plays on the explanation; all by default, none for explainers "
-            "that declare themselves slow."
+            help="Episodes that the team also plays on the explanation; by default all, or none for "
+            "explainers that declare themselves slow."
         ),
     ] = None,
     no_behaviour: Annotated[
         list[str],
-        typer.Option(help="Explainer on whose masks the team does not play, or 'all'. Repeatable."),
+        typer.Option(help="Explainer without episodes played on its masks, or 'all'. Repeatable."),
     ] = [],  # noqa: B006
     max_cycles: MaxCycles = None,
     seed: Seed = 0,
@@ -68,22 +68,22 @@ def score(
     parallel_episodes: Parallel = 50,
     cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
-    submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
-    out: Annotated[Path, typer.Option(help="Where entries/ and the page go.")] = Path("results"),
+    submitter: Annotated[str | None, typer.Option(help="Name of the submitter, for the entries.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for entries/ and the page.")] = Path("results"),
     suite: Annotated[
         Literal["tasks", "planted"],
         typer.Option(
-            help="`planted`: policies whose relevant messages are known by construction, in place of the "
-            "tasks; takes --explainer, --seed and --out."
+            help="`planted`: policies whose relevant messages are known by construction, instead of the "
+            "tasks; uses --explainer, --seed and --out only."
         ),
     ] = "tasks",
 ) -> None:
     """Score explainers on policies; write one entry per pair and rebuild the leaderboard.
 
-    With --slow-episodes or --slow-timesteps, slow explainers are scored on fewer states only, and all
-    others on both: on all states, and on the same few, so that they can be compared. What is finished is kept
-    in --cache: a run that was stopped goes on where it was. What fails stops nothing else; exit code 1 says
-    that something did.
+    With --slow-episodes or --slow-timesteps, slow explainers are scored on fewer states. The others are
+    scored on these states as well as on all, so that they can be compared. Finished pieces are kept in
+    --cache: a run that was stopped continues there. A failure does not stop the rest. Exit code 1: something
+    failed.
     """
     from dataclasses import replace
 
@@ -120,7 +120,7 @@ def score(
     with locked(out):
         for folder in (out, out / "entries"):
             remove_leftovers(folder)
-        read_entries(out / "entries")  # a board that could not be rebuilt afterwards is refused now
+        read_entries(out / "entries")  # fails now rather than after the run if the board cannot be built
         try:
             for outcome in score_requests(
                 requests,
@@ -137,10 +137,10 @@ def score(
                     continue
                 path = write_entry(out / "entries", outcome)
                 entries.append(outcome)
-                if not sys.stderr.isatty():  # a log, which shows no progress bar
+                if not sys.stderr.isatty():  # a log has no progress bar
                     print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
         finally:
-            if entries:  # an interrupted run keeps what it finished
+            if entries:  # also after an interruption
                 board = build_board(out)
     if entries:
         tables.print_scores(entries, explainers)

@@ -35,11 +35,12 @@ def study(
         ),
     ],
     quick: Annotated[
-        bool, typer.Option("--quick", help="4 timesteps of 4 episodes: a look, no result.")
+        bool, typer.Option("--quick", help="4 timesteps of 4 episodes: a preview, not a result.")
     ] = False,
     policy: Policies = ["all"],  # noqa: B006
     explainer: Annotated[
-        list[str], typer.Option("--explainer", help="One more than the ledgers compare. Repeatable.")
+        list[str],
+        typer.Option("--explainer", help="Further explainer, not compared by the ledgers. Repeatable."),
     ] = [],  # noqa: B006
     episodes: Annotated[int, typer.Option(help="Episodes per policy.")] = 50,
     timesteps: Annotated[
@@ -50,26 +51,26 @@ def study(
     behaviour: Annotated[
         list[str],
         typer.Option(
-            help="Explainer on whose masks the team also plays, or 'all'. It is asked at every step, which "
-            "takes most explainers longer than all the rest. Repeatable; none by default."
+            help="Explainer whose masks the team also plays on, or 'all'. It is called at every step, which "
+            "takes most explainers longer than everything else. Repeatable; none by default."
         ),
     ] = [],  # noqa: B006
-    figures: Annotated[bool, typer.Option(help="Draw (needs the extra 'plots').")] = True,
+    figures: Annotated[bool, typer.Option(help="Draw figures; needs the extra 'plots'.")] = True,
     seed: Seed = 0,
     jobs: Jobs = None,
     backend: Backend = "loky",
     address: Address = None,
     cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
-    submitter: Annotated[str | None, typer.Option(help="Who makes these entries.")] = None,
+    submitter: Annotated[str | None, typer.Option(help="Name of the submitter, for the entries.")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Where everything goes; study/NAME by default, study/NAME-quick.")
+        Path | None, typer.Option(help="Folder to write; study/NAME or study/NAME-quick by default.")
     ] = None,
 ) -> None:
-    """Reproduce a study of the paper and judge its statements; what is scored already is not scored again.
+    """Reproduce a study of the paper and judge its statements.
 
-    What is finished is kept in --cache. What fails stops nothing else, and is missing from the study; exit
-    code 1 says that something did.
+    Finished pieces are kept in --cache and not computed again. A failure does not stop the rest, and is
+    missing from the study. Exit code 1: something failed.
     """
     from xmarl_bench.cli import tables
     from xmarl_bench.papers.kailas2025.figures import check_matplotlib
@@ -105,7 +106,7 @@ def study(
             fresh=not resume,
             out=folder,
         )
-        outcomes = list(tables.told(scored, len(requests)))
+        outcomes = list(tables.log_progress(scored, len(requests)))
         pairs = [
             (request.card, outcome)
             for request, outcome in zip(requests, outcomes, strict=True)

@@ -10,19 +10,19 @@ import typer
 
 def submit(
     entries: Annotated[list[Path], typer.Argument(help="Entry files, as `xmarl-bench score` wrote them.")],
-    submitter: Annotated[str, typer.Option(help="Who hands them in: a name, as the board shows it.")],
-    licence: Annotated[Path, typer.Option(help="File with the terms under which others may use this.")],
+    submitter: Annotated[str, typer.Option(help="Name of the submitter, as the board shows it.")],
+    licence: Annotated[Path, typer.Option(help="File with the licence of the bundle.")],
     out: Annotated[Path, typer.Option(help="Bundle to write: NAME.zip, or a folder.")],
     policy: Annotated[
         list[Path],
         typer.Option(help="Bundle of a policy that no package registers. Repeatable."),
     ] = [],  # noqa: B006
-    code: Annotated[str | None, typer.Option(help="Where the explainer's code is: a link.")] = None,
-    contact: Annotated[str | None, typer.Option(help="Where the maintainers can ask.")] = None,
+    code: Annotated[str | None, typer.Option(help="Link to the explainer's code.")] = None,
+    contact: Annotated[str | None, typer.Option(help="Address for questions of the maintainers.")] = None,
 ) -> None:
     """Pack entries, their policies and rows into a bundle, and check it as the maintainers will.
 
-    Exit code 1 where it would be refused; then nothing is written.
+    Exit code 1: the bundle is invalid, and nothing is written.
     """
     import tempfile
 
@@ -33,7 +33,7 @@ def submit(
     from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle
 
     if out.exists():
-        raise InputError(f"{out} exists: give another name, or remove it first.")
+        raise InputError(f"{out} already exists: give another name, or remove it first.")
     given = {load_card(folder).name: folder for folder in policy}
     submitted = [as_submitted(read_entry(path), submitter, code) for path in entries]
     names = dict.fromkeys(entry.policy.name for entry in submitted)
@@ -41,7 +41,7 @@ def submit(
         raise InputError(f"none of the entries is of policy {name!r}: leave it out, or give its entries.")
     registered = [name for name in names if name not in given]
     if registered:
-        from xmarl_bench.plugins.registry import find_policy  # here, for it waits for torch
+        from xmarl_bench.plugins.registry import find_policy  # imported lazily: it imports torch
 
         given |= {name: find_policy(name) for name in registered}
     try:
@@ -58,4 +58,4 @@ def submit(
             print(f"{out}: {finding}")
         raise SystemExit(1)
     write_bundle(out, files)
-    print(f"{out}: valid, {len(submitted)} entries. How to hand it in: leaderboard/README.md.")
+    print(f"{out}: valid, {len(submitted)} entries. How to submit it: leaderboard/README.md.")

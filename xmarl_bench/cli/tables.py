@@ -1,4 +1,4 @@
-"""Tables for people, on a terminal or in a README; the same rows are what `--json` prints."""
+"""Tables for a terminal or a README. `--json` prints the same rows."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from xmarl_bench.scoring.score import Failed
 Row = dict[str, Any]
 Outcome = TypeVar("Outcome")
 _POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_seed", "success", "code")
-# Heading -> metric. The first is the order, its interval stands beside it.
+# Heading -> metric. The first is the order, and is shown with its interval.
 SCORE_COLUMNS = {
     metric.short: metric.name for metric in columns_of(*OF_EXPLAINERS) if metric.short is not None
 }
-NAMES_WIDTH, INTERVAL_WIDTH = 26, 9  # columns of a terminal, for "integrated_gradients" and "0.95 0.97"
+NAMES_WIDTH, INTERVAL_WIDTH = 26, 9  # terminal columns, for "integrated_gradients" and "0.95 0.97"
 
 
 def tasks() -> list[Row]:
@@ -49,10 +49,10 @@ def tasks() -> list[Row]:
 
 
 def policies() -> tuple[list[Row], list[InputError]]:
-    """Those of the plugins that load, and why the others do not.
+    """Policies of the plugins that load, and the errors of the others.
 
-    `success` is the success rate its card records, None where it records none. `code` is the entry point of
-    a policy that brings its own. It is not run to be listed: the rest is None.
+    `success` is the success rate in the card, None without one. `code` is the entry point of a policy with
+    its own code. Listing does not run the code, so its other columns are None.
     """
     found, failures = registered_policies()
     rows: list[Row] = []
@@ -81,7 +81,7 @@ def policies() -> tuple[list[Row], list[InputError]]:
 
 
 def explainers() -> tuple[list[Row], list[InputError]]:
-    """Those that load, and why the others do not."""
+    """Explainers that load, and the errors of the others."""
     rows: list[Row] = []
     failures = []
     for name in explainer_names():
@@ -153,7 +153,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def _that_fit(width: int) -> dict[str, str]:
-    """As many of SCORE_COLUMNS as such a terminal shows in one line, the first at least."""
+    """As many of SCORE_COLUMNS as fit into a line of this width, at least the first."""
     left = width - NAMES_WIDTH - INTERVAL_WIDTH - 7
     fitting: dict[str, str] = {}
     for heading, name in SCORE_COLUMNS.items():
@@ -165,7 +165,7 @@ def _that_fit(width: int) -> dict[str, str]:
 
 
 def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
-    """A table per policy, in the board's order, and a word on what was given fewer states."""
+    """A table per policy, in the board's order, then costs and a note on slow explainers' fewer states."""
     terminal = console()
     fitting = _that_fit(terminal.width)
     order, *others = fitting
@@ -198,7 +198,7 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
         cost, timesteps = entry.cost, entry.cost.explained_timesteps
         print(
             f"{entry.policy.name}, {entry.explainer.name}: {timesteps} timesteps explained in "
-            f"{cost.explain_seconds_per_timestep * timesteps:.1f} s, acted on in "
+            f"{cost.explain_seconds_per_timestep * timesteps:.1f} s, rolled out in "
             f"{cost.behaviour_seconds:.1f} s; oracle and controls, once per policy, "
             f"{cost.shared_seconds_per_timestep * timesteps:.1f} s."
         )
@@ -208,8 +208,8 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
         few = limited[0]
         steps = "" if few.timesteps is None else f", at most {few.timesteps} timesteps of each"
         print(
-            f"Slow explainers ({', '.join(slow)}) were given fewer states: {few.episodes} episodes{steps}. "
-            f"The others were scored on these as well, to be compared with them, and on all states."
+            f"Slow explainers ({', '.join(slow)}) had fewer states: {few.episodes} episodes{steps}."
+            f" The others were scored on these, for comparison, and on all states."
         )
 
 
@@ -229,7 +229,7 @@ def _cell(value: object) -> str:
 
 
 def console() -> Console:
-    """Wide where there is no terminal, so that logs do not break lines."""
+    """The console; wide without a terminal, so that logs do not break lines."""
     terminal = Console()
     return terminal if terminal.is_terminal else Console(width=160)
 
@@ -238,37 +238,37 @@ def print_json(value: Any) -> None:
     print(json.dumps(value, indent=2, allow_nan=False))
 
 
-def told(outcomes: Iterator[Outcome], asked: int, every: float = 20.0) -> Iterator[Outcome]:
-    """The same, and in a log, which shows no progress bar, a line on stderr about every so many seconds."""
-    started = said = time.monotonic()
+def log_progress(outcomes: Iterator[Outcome], total: int, every: float = 20.0) -> Iterator[Outcome]:
+    """Yield the outcomes. Without a terminal, print a line on stderr about every so many seconds."""
+    started = last = time.monotonic()
     for done, outcome in enumerate(outcomes, start=1):
         now = time.monotonic()
-        if now - said > every and not sys.stderr.isatty():
-            said, gone = now, (now - started) / 60
-            print(f"{done} of {asked} scored, {gone:.1f} min gone.", file=sys.stderr, flush=True)
+        if now - last > every and not sys.stderr.isatty():
+            last, minutes = now, (now - started) / 60
+            print(f"{done} of {total} scored after {minutes:.1f} min.", file=sys.stderr, flush=True)
         yield outcome
 
 
-def exit_for_failures(failed: Sequence[Failed], asked: int) -> None:
-    """Say on stderr what failed and leave with exit code 1; nothing where nothing did.
+def exit_for_failures(failed: Sequence[Failed], total: int) -> None:
+    """If something failed, print it on stderr and exit with code 1.
 
-    Raises InputError where everything did, for the first reason.
+    Raises InputError with the first error if everything failed.
     """
     if not failed:
         return
-    if len(failed) == asked:
+    if len(failed) == total:
         raise InputError(failed[0].error)
     for each in failed:
         print(f"failed: {each}", file=sys.stderr)
     print(
-        f"{len(failed)} of {asked} failed; everything else is done. The same command tries them again.",
+        f"{len(failed)} of {total} failed; everything else is done. The same command tries them again.",
         file=sys.stderr,
     )
     raise SystemExit(1)
 
 
 def run_rows(records: Sequence[tuple[RunRecord, Progress]]) -> list[Row]:
-    """How far runs are, as `xmarl-bench status` shows them."""
+    """The progress of runs, for `xmarl-bench status`."""
     states = {True: "running", False: "stopped", None: "on another machine"}
     return [
         {

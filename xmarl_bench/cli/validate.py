@@ -13,9 +13,9 @@ Paths = Annotated[
 
 
 def validate(paths: Paths) -> None:
-    """Check entries and submission bundles without running anything: one line per finding.
+    """Check entries and submission bundles without running anything. Prints a line per finding.
 
-    Exit code 0: all are valid; 1: something is not; 2: something could not be read.
+    Exit code 0: all are valid; 1: something is invalid; 2: something could not be read.
     """
     import sys
 

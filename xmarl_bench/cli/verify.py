@@ -16,49 +16,49 @@ def verify(
     tier: Annotated[
         str,
         typer.Option(
-            help="recompute: aggregates from rows, nothing runs; spot: some episodes again; full: everything."
+            help="recompute: aggregates from rows, runs nothing; spot: runs some episodes again; full: all."
         ),
     ] = "recompute",
     episodes: Annotated[int, typer.Option(help="Episodes of each cell that spot plays again.")] = 10,
     seed: Annotated[
-        int | None, typer.Option(help="Draws these episodes; by default others each time.")
+        int | None, typer.Option(help="Seed for the choice of these episodes; random by default.")
     ] = None,
     explainer: Annotated[
         str | None,
-        typer.Option(help="Run this one: module:Name or path/to/file.py:Name, where none is installed."),
+        typer.Option(help="Explainer to run if it is not installed: module:Name or path/to/file.py:Name."),
     ] = None,
     trust_code: Annotated[
         bool,
         typer.Option(
-            "--trust-code", help="Run the code of explainers that are not ours, in a process with limits."
+            "--trust-code", help="Run the code of third-party explainers, in a process with limits."
         ),
     ] = False,
     cpu_seconds: Annotated[int, typer.Option(help="CPU time of such a process.")] = 3600,
     memory: Annotated[float, typer.Option(help="Address space of such a process, in GiB.")] = 8.0,
     by: Annotated[
-        str | None, typer.Option(help="Sign off what passes: your name goes into its verification block.")
+        str | None, typer.Option(help="Sign entries that pass, with this name in their verification block.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the signed entries; where they are by default, but for bundles."),
+        typer.Option(help="Folder for the signed entries; by default in place. Required for bundles."),
     ] = None,
     jobs: Jobs = None,
     backend: Backend = "loky",
     address: Address = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find out whether entries are right: validate them, then derive or run their numbers again.
+    """Verify entries: validate them, then compute their numbers again.
 
-    Numbers must be the same to the bit on the platform and versions that the entry names, and within the
-    published tolerance elsewhere. Exit code 0: all passed; 1: something did not; 2: it could not be run.
-    Several entries are verified side by side with --jobs.
+    Numbers must be equal bit for bit on the platform and versions of the entry, and within the published
+    tolerance elsewhere. Exit code 0: all passed; 1: something did not; 2: something could not be run.
+    --jobs verifies several entries in parallel.
     """
     import sys
     from functools import partial
 
     from xmarl_bench.cli import tables
     from xmarl_bench.entry.file import write_entry
-    from xmarl_bench.errors import InputError
+    from xmarl_bench.errors import InputError, unknown
     from xmarl_bench.parallel.fan_out import Failure, fan_out
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.submission.checking import check
@@ -66,7 +66,7 @@ def verify(
     from xmarl_bench.submission.verification import Options, Tier, lines, verify_one
 
     if tier not in list(Tier):
-        raise InputError(f"unknown tier {tier!r}: choose one of {', '.join(Tier)}.")
+        raise unknown("tier", tier, Tier)
     limits = Limits(cpu_seconds=cpu_seconds, memory_bytes=int(memory * 2**30))
     options = Options(Tier(tier), episodes, seed, explainer, trust_code, limits)
     workers = Workers(jobs, backend, address)
@@ -87,10 +87,10 @@ def verify(
         else:
             units += [(path, file, checked.part(file)) for file in checked.entries]
     work = [(part, file) for _, file, part in units]
-    told = dict(fan_out(partial(verify_one, options=options), work, workers=workers, progress="verify"))
+    outcomes = dict(fan_out(partial(verify_one, options=options), work, workers=workers, progress="verify"))
     verdicts = []
     for k, (path, file, _) in enumerate(units):
-        verdict = told[k]
+        verdict = outcomes[k]
         if isinstance(verdict, Failure):
             print(f"xmarl-bench: {verdict.error}", file=sys.stderr)
             code = 2

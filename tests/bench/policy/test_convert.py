@@ -212,7 +212,7 @@ def test_a_tensor_with_a_false_size_is_not_copied() -> None:
         ({"--architecture": None, "--key-map": {"a": 1}}, "is not a key map"),
         ({"--architecture": None, "--key-map": []}, "is not a key map"),
         ({"--architecture": None}, "do not fit the architecture"),
-        ({"--architecture": None, "--agents": 0}, "no policy can have this n_agents"),
+        ({"--architecture": None, "--agents": 0}, "n_agents is invalid"),
     ],
 )
 def test_invalid_options_are_refused(

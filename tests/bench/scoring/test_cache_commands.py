@@ -73,7 +73,7 @@ def test_a_cache_that_cannot_be_written_is_refused(
 
 @pytest.mark.slow
 def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:
-    assert_refused(run_cli("status"), "no run is known")
+    assert_refused(run_cli("status"), "has no record of a run")
     assert score(run_cli, make_bundle(), out).code == 0
     told = run_cli("status", out)
     assert told.code == 0
@@ -87,7 +87,7 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
     (row,) = json.loads(run_cli("status", "--json").out)
     assert row["pieces"] == [0, 6]
     assert row["explainers"] == {"attention": [0, 2]}  # explaining, and playing on it
-    assert_refused(run_cli("status", out / "elsewhere"), "no run is known")
+    assert_refused(run_cli("status", out / "elsewhere"), "has no record of a run")
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ class Simulator:
 
         They take the actions that the policy chooses, continuous or discrete ones. Every copy has its own
         physics, so what happens in it does not depend on the others. Raises InputError for observations of
-        another team, or of a task that does not observe positions and velocities.
+        another shape, or of a task that does not observe positions and velocities.
         """
         task = with_actions_of(policy, make_task(self.task, self.n_agents))
         missing = [name for name in STATE_NAMES if name not in task.observation_names]
@@ -43,10 +43,11 @@ class Simulator:
                 f"{self.task} cannot be restarted, because agents do not observe {', '.join(missing)}: "
                 f"choose another task or explainer."
             )
-        if observations.shape[1] != self.n_agents:
+        team, given = (self.n_agents, task.obs_dim + policy.memory_dim), tuple(observations.shape[1:])
+        if given != team:
             raise InputError(
-                f"a world of {self.n_agents} agents cannot be restarted with observations of "
-                f"{observations.shape[1]}: give those of its own team."
+                f"a world of {team[0]} agents cannot be restarted with observations of shape {given}, "
+                f"expected {team}: give those of its own team."
             )
         entries = [task.observation_names.index(name) for name in STATE_NAMES]
         state: NDArray[np.float64] = observations[..., entries].double().numpy()

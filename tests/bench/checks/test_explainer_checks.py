@@ -68,6 +68,7 @@ def test_what_plays_on_is_checked_in_the_world_of_one_episode() -> None:
     by_name = {each.check: each for each in findings}
     assert [name for name, each in by_name.items() if each.passed is False] == []
     assert by_name["other team sizes"].message == "its simulator is that of a team of 3."
+    assert "these states have none" in by_name["follows the receiver"].message
 
 
 @pytest.mark.slow
@@ -170,7 +171,7 @@ def slow(observations: Tensor, policy: Policy) -> Tensor:
         (drawing(lambda: torch.set_num_threads(2)), "global random state untouched", "number of threads"),
         (by_batch, "chunks of timesteps", "in two halves"),
         (by_position, "order of timesteps", "in another order"),
-        (lambda observations: torch.ones(len(observations), 3, 3), "other team sizes", "expected (2, 1, 1)"),
+        (lambda observations: torch.ones(len(observations), 3, 3), "other team sizes", "shape (2, 1, 1)"),
         (slow, "time per timestep", "declare slow = True"),
     ],
 )  # fmt: skip

@@ -44,8 +44,12 @@ def test_no_copy_depends_on_how_many_there_are() -> None:
 
 def test_what_cannot_be_restarted_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     simulator = Simulator("blind_navigation_v0", 3, 0)
-    with pytest.raises(InputError, match="a world of 3 agents cannot be restarted with observations of 4"):
+    with pytest.raises(
+        InputError, match=r"a world of 3 agents cannot be restarted with .* \(4, 6\), expected \(3, 6\)"
+    ):
         simulator.restart(small_policy(6), random_observations(2, 4, 6))
+    with pytest.raises(InputError, match=r"\(3, 8\), expected \(3, 6\)"):
+        simulator.restart(small_policy(8), random_observations(2, 3, 8))
     monkeypatch.setattr(module, "STATE_NAMES", ("position_x", "altitude"))
     with pytest.raises(InputError, match=r"blind_navigation_v0 cannot be restarted, .* observe altitude"):
         simulator.restart(small_policy(6), random_observations(2, 3, 6))

@@ -1,1 +1,1 @@
-"""What strangers hand in: packed, checked without running anything, then run again where that is wanted."""
+"""Submissions by third parties: packed, checked without running anything, and optionally run again."""

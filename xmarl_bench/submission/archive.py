@@ -1,7 +1,7 @@
-"""The files of a bundle, a folder or a zip, as bytes in bounded memory and time.
+"""Reads the files of a bundle, a folder or a zip, as bytes, in bounded memory and time.
 
-Nothing is unpacked: names come out of a stranger's file, so they are compared with a closed list and never
-become paths. Sizes in headers are claims; what is read is counted.
+Unpacks nothing: names are untrusted, so they are compared with a closed list and never become paths. Sizes in
+headers are untrusted too, so bytes are counted as they are read.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from xmarl_bench.records.strict_json import shown
 
 MANIFEST: Final = "manifest.json"
 _NAME = r"[a-z0-9][a-z0-9._-]{0,99}"
-# What a bundle may hold, and at most how many bytes of it: lower case, so that no two differ in case alone.
+# The files that a bundle may hold, with their largest size. Lower case, so that no two differ in case only.
 KINDS: dict[str, tuple[re.Pattern[str], int]] = {
     "manifest": (re.compile(r"manifest\.json"), 1024 * 1024),
     "licence": (re.compile(r"LICENSE"), 256 * 1024),
@@ -39,33 +39,35 @@ _END, _END_SIZE = b"PK\x05\x06", 22
 
 
 def kind_of(name: str) -> str | None:
-    """Which of KINDS a file's name is of; None for a name that no bundle holds."""
+    """The kind of a file, of KINDS, by its name; None if bundles hold no such file."""
     return next((kind for kind, (pattern, _) in KINDS.items() if pattern.fullmatch(name)), None)
 
 
 def read_files(path: Path) -> dict[str, bytes]:
     """Every file of a bundle, by its name with forward slashes.
 
-    Raises InputError where the path is no folder and no zip, and for whatever else cannot be read;
-    ValueError, a sentence, for a name or an amount that no bundle has.
+    Raises InputError if the path is neither a folder nor a zip, or cannot be read; ValueError, with a
+    sentence, for files that a bundle may not hold, and for too many files or bytes.
     """
     files: dict[str, bytes] = {}
     total = 0
     for name, data in _folder(path) if path.is_dir() else _zip(path):
         total += len(data)
         if name in files:
-            raise ValueError(f"it holds {shown(name)} twice.")
+            raise ValueError(f"it holds {shown(name)} twice: pack it again.")
         if len(files) >= MAX_FILES or total > MAX_TOTAL:
-            raise ValueError(f"it holds more than {MAX_FILES} files or {MAX_TOTAL} bytes.")
+            raise ValueError(
+                f"it holds more than {MAX_FILES} files or {MAX_TOTAL} bytes: make several bundles."
+            )
         files[name] = data
     return files
 
 
 def limit(name: str) -> int:
-    """At most so many bytes of a file. Raises ValueError for a name that no bundle holds."""
+    """The largest size of a file, in bytes. Raises ValueError if bundles hold no such file."""
     kind = kind_of(name)
     if kind is None:
-        raise ValueError(f"it holds {shown(name)}, which is no file of a bundle.")
+        raise ValueError(f"it holds {shown(name)}, which is not a file of a bundle: remove it.")
     return KINDS[kind][1]
 
 
@@ -90,7 +92,7 @@ def _folder(path: Path) -> Iterator[tuple[str, bytes]]:
                 with file.open("rb") as opened:
                     yield _checked(relative, opened.read(limit(relative) + 1))
             elif not stat.S_ISDIR(mode):
-                raise ValueError(f"it holds {shown(relative)}, a link or special file.")
+                raise ValueError(f"it holds {shown(relative)}, a link or special file: remove it.")
 
 
 def _unreadable(error: OSError) -> None:
@@ -107,13 +109,16 @@ def _zip(path: Path) -> Iterator[tuple[str, bytes]]:
             for member in archive.infolist():
                 if member.is_dir():
                     continue
-                name = member.orig_filename  # `filename` was made to look harmless
+                name = member.orig_filename  # zipfile changes `filename` to look harmless
                 if stat.S_IFMT(member.external_attr >> 16) not in (0, stat.S_IFREG):
-                    raise ValueError(f"it holds {shown(name)}, a link or special file.")
+                    raise ValueError(f"it holds {shown(name)}, a link or special file: remove it.")
                 if member.flag_bits & 1 or member.compress_type not in (
                     zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED,
                 ):  # fmt: skip
-                    raise ValueError(f"its {shown(name)} is encrypted, or packed otherwise than by deflate.")
+                    raise ValueError(
+                        f"its {shown(name)} is encrypted, or compressed with another method than deflate: "
+                        f"pack it again."
+                    )
                 most = limit(name)
                 with archive.open(member) as opened:
                     yield _checked(name, opened.read(most + 1))
@@ -125,11 +130,11 @@ def _zip(path: Path) -> Iterator[tuple[str, bytes]]:
         struct.error,
         zlib.error,
     ) as e:
-        raise InputError(f"{path} is no zip that can be read ({shown(e)}): pack it again.") from None
+        raise InputError(f"{path} is not a readable zip ({shown(e)}): pack it again.") from None
 
 
 def _check_directory(data: bytes) -> None:
-    """The list of a zip's files is as long as it claims, and reading it takes microseconds a file."""
+    """Raise an error if a zip's directory is missing or too large, before zipfile reads it."""
     end = data.rfind(_END, max(0, len(data) - _END_SIZE - 0xFFFF))
     if end < 0 or len(data) < end + _END_SIZE:
         raise zipfile.BadZipFile("it has no end record")

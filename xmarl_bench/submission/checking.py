@@ -1,7 +1,6 @@
-"""Is this an entry, or a bundle of entries, that could stand on the leaderboard? Nothing of it is run.
+"""Checks that an entry or a bundle of entries is valid for the leaderboard, without running anything of it.
 
-A submitter and the maintainers ask the same question: `xmarl-bench submit`, `validate` and `verify` all end
-up here.
+Submitters and maintainers use the same checks: those of `xmarl-bench submit`, `validate` and `verify`.
 """
 
 from __future__ import annotations
@@ -27,17 +26,17 @@ from xmarl_bench.submission.recompute import Difference, recompute_findings, rec
 if TYPE_CHECKING:
     from xmarl_bench.policy import Policy
 
-MAX_FINDINGS = 20  # of one file: the first ones say enough
+MAX_FINDINGS = 20  # per file
 
 
 @dataclass
 class Checked:
-    """What a path holds, and what is wrong with it: sentences that begin with the file's name."""
+    """The content of a path, and what is wrong with it: sentences that begin with the file's name."""
 
     path: Path
     entries: dict[str, Entry] = field(default_factory=dict)  # by file name
     policies: dict[str, tuple[bytes, bytes]] = field(default_factory=dict)  # by name: card, weights
-    recomputed: dict[str, list[Difference]] = field(default_factory=dict)  # by file name, where all is well
+    recomputed: dict[str, list[Difference]] = field(default_factory=dict)  # by file name, of valid entries
     findings: list[str] = field(default_factory=list)
 
     @property
@@ -45,7 +44,7 @@ class Checked:
         return self.path.suffix == ".zip" or (self.path / MANIFEST).is_file()
 
     def part(self, file: str) -> Checked:
-        """What one of the entries needs to be verified, and nothing else: a worker is handed this."""
+        """The part that a worker needs to verify one of the entries."""
         entry = self.entries[file]
         name = entry.policy.name
         policies = {name: self.policies[name]} if name in self.policies else {}
@@ -54,21 +53,21 @@ class Checked:
         )
 
     def read_policy(self, name: str) -> tuple[PolicyCard, Weights]:
-        """A policy of the bundle, as data. Raises InputError where one could not be built of it."""
+        """A policy of the bundle, as data. Raises InputError if it is invalid."""
         card_data, weights_data = self.policies[name]
         card = parse_card(card_data, CARD)
         return card, parse_weights(weights_data, card, WEIGHTS)
 
     def load_policy(self, name: str) -> tuple[Policy, PolicyCard]:
-        """A policy of the bundle, built: this waits for torch. Raises InputError as `read_policy` does."""
+        """Build a policy of the bundle, which imports torch. Raises InputError as `read_policy` does."""
         card, weights = self.read_policy(name)
         return build(card, weights), card
 
 
 def check(path: Path) -> Checked:
-    """An entry file, a bundle (zip, or folder with a manifest) or a folder of entries.
+    """Check an entry file, a bundle (zip, or folder with a manifest) or a folder of entries.
 
-    Raises InputError where that cannot be read; what can be read and is not valid is in `findings`.
+    Raises InputError if the path cannot be read. Invalid content gives `findings`.
     """
     checked = Checked(path)
     try:
@@ -77,14 +76,19 @@ def check(path: Path) -> Checked:
         elif path.is_dir():
             names = sorted(path.glob("*.json"))
             if not names:
-                raise InputError(f"{path} holds no entries (*.json) and no {MANIFEST}: give one that does.")
+                raise InputError(
+                    f"{path} holds no entries (*.json) and no {MANIFEST}: give a folder of entries, or a "
+                    f"bundle."
+                )
             for name in names:
                 _check_entry(checked, name.name, _read(name))
         else:
             _check_entry(checked, path.name, _read(path))
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}).") from None
-    if not checked.findings:  # what costs the most is asked last, of rows that are rows
+        raise InputError(
+            f"{path} cannot be read ({error.strerror}): give an entry, a bundle or a folder of entries."
+        ) from None
+    if not checked.findings:  # the most expensive checks come last, and need valid rows
         for file, entry in checked.entries.items():
             checked.recomputed[file] = list(recomputed(entry))
             _add(checked, file, recompute_findings(checked.recomputed[file]))
@@ -95,7 +99,7 @@ def check(path: Path) -> Checked:
 
 def _read(path: Path) -> bytes:
     if not path.is_file():
-        raise InputError(f"{path} is no file: give an entry, a bundle or a folder of them.")
+        raise InputError(f"{path} does not exist: give an entry, a bundle or a folder of entries.")
     with path.open("rb") as file:
         return file.read(MAX_BYTES + 1)
 
@@ -104,7 +108,7 @@ def _add(checked: Checked, file: str, findings: Iterator[str]) -> None:
     listed = list(findings)
     checked.findings += [f"{file}: {each}" for each in listed[:MAX_FINDINGS]]
     if len(listed) > MAX_FINDINGS:
-        checked.findings.append(f"{file}: and {len(listed) - MAX_FINDINGS} findings more.")
+        checked.findings.append(f"{file}: and {len(listed) - MAX_FINDINGS} more findings.")
 
 
 def _check_entry(checked: Checked, file: str, data: bytes) -> Entry | None:
@@ -128,7 +132,7 @@ def _check_bundle(checked: Checked) -> None:
         return
     _add(checked, MANIFEST, _manifest_findings(files))
     if "LICENSE" not in files:
-        checked.findings.append("LICENSE: it is missing: say under which terms others may use this.")
+        checked.findings.append("LICENSE: it is missing: add the licence of the bundle.")
     for name, card in files.items():
         if kind_of(name) == "card":
             weights = files.get(name.replace(CARD, WEIGHTS))
@@ -140,15 +144,15 @@ def _check_bundle(checked: Checked) -> None:
             if entry is not None:
                 _add(checked, name, _submission_findings(entry, name, files, checked))
     if not any(kind_of(name) == "entry" for name in files):
-        checked.findings.append("entries/: it holds no entry.")
+        checked.findings.append("entries/: it holds no entry: add one.")
     used = {entry.policy.name for entry in checked.entries.values()}
     rows = {name for name in files if kind_of(name) == "rows"}
     expected_rows = {name.replace("entries/", "rows/", 1)[: -len("json")] + "csv" for name in checked.entries}
     for name in sorted(files):
         if kind_of(name) in ("card", "weights") and name.split("/")[1] not in used:
-            checked.findings.append(f"{name}: no entry is of this policy.")
+            checked.findings.append(f"{name}: no entry is of this policy: remove it.")
     for name in sorted(rows - expected_rows):
-        checked.findings.append(f"{name}: there is no entry that it belongs to.")
+        checked.findings.append(f"{name}: it belongs to no entry: remove it.")
 
 
 def _manifest_findings(files: dict[str, bytes]) -> Iterator[str]:
@@ -160,8 +164,8 @@ def _manifest_findings(files: dict[str, bytes]) -> Iterator[str]:
         parse_json(data)
         manifest = Manifest.model_validate_json(data)
     except ValidationError as error:
-        said, where = first_error(error)
-        yield f"{said} at {shown(where, 120)}."
+        problem, where = first_error(error)
+        yield f"{problem} at {shown(where, 120)}."
         return
     except ValueError as error:
         yield f"it {error}."
@@ -173,36 +177,36 @@ def _manifest_findings(files: dict[str, bytes]) -> Iterator[str]:
         elif name not in found:
             yield f"it lists {shown(name, 300)}, which the bundle does not hold."
         elif manifest.files[name] != found[name]:
-            yield f"its size or sha256 of {name} is not that of the file."
+            yield f"its size or sha256 of {name} differs from the file's."
 
 
 def _policy_findings(checked: Checked, name: str) -> Iterator[str]:
-    """Could the policy be built, and is it the one that the entries are of?"""
+    """Findings if the policy is invalid, or not the one of the entries."""
     try:
         card, _ = checked.read_policy(name)
     except InputError as error:
         yield str(error)
         return
     for file, entry in checked.entries.items():
-        if entry.policy.name == name:  # the folder's, as cards may say another
+        if entry.policy.name == name:  # the folder's name: a card may hold another
             yield from _record_findings(entry, file, card)
 
 
 def _record_findings(entry: Entry, file: str, card: PolicyCard) -> Iterator[str]:
     for key in PolicyRecord.model_fields:
         if hasattr(card, key) and getattr(card, key) != getattr(entry.policy, key):
-            yield f"its {key} is not the policy.{key} of {file}."
+            yield f"its {key} disagrees with policy.{key} of {file}."
 
 
 def _submission_findings(entry: Entry, name: str, files: dict[str, bytes], checked: Checked) -> Iterator[str]:
     if name != f"entries/{entry.file_name}":
         yield f"its name should be {entry.file_name}."
     if entry.verification != Verification():
-        yield "verification is for the maintainers to write: leave it out."
+        yield "verification is written by the maintainers: leave it out."
     rows = files.get(f"rows/{entry.file_name.removesuffix('.json')}.csv")
     if rows is None:
         yield "its rows/*.csv is missing."
     elif rows != rows_csv(entry):
-        yield "its rows/*.csv has other rows than the entry."
+        yield "its rows/*.csv disagrees with the entry."
     if entry.policy.name not in checked.policies:
         yield f"its policy is missing from policies/{entry.policy.name}/."

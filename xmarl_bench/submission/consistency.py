@@ -1,8 +1,8 @@
-"""What an entry's own numbers must fulfil among themselves: found without a policy, an explainer or a rerun.
+"""Checks that the numbers of an entry are consistent, without a policy, an explainer or a rerun.
 
-Each finding is one sentence that says where. An entry that was measured has none; one that was edited, even
-with its id made to fit, has some unless every number that depends on the edited one was edited too - then the
-rerun of `xmarl_bench.submission.rerun` finds it.
+Each finding is one sentence with its place. A measured entry has none. An edited entry, even with a fitting
+id, has some, unless every number that depends on the edited one was edited too; then
+`xmarl_bench.submission.rerun` finds it.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from xmarl_bench.metrics.table import OPTIONAL, OTHER_ABSENCES, UNDER_ABSENCES
 from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import episode_seeds
 
-# The controls, as xmarl_bench.explain.controls names them: that module waits for torch, these checks do not.
+# Names of the controls, as in xmarl_bench.explain.controls, which imports torch.
 RANDOM, INVERTED, ORACLE = "random", "inverted", "oracle"
-FLOORS = {"all-ones", "zeros", RANDOM, "bernoulli", "self", INVERTED, "nearest"}
-OF_KNOWN_ORIGIN = {"initial-attention"}  # where the card gives the seed of the initial weights
-CEILINGS = {ORACLE, "soft-oracle"}
-CLOSE = 1e-9  # relative to the larger of 1 and the number: sums are taken in another order
+ALWAYS_PRESENT = {"all-ones", "zeros", RANDOM, "bernoulli", "self", INVERTED, "nearest"}
+IF_INITIAL_SEED = {"initial-attention"}  # present if the card has the seed of the initial weights
+IF_ORACLE = {ORACLE, "soft-oracle"}
+CLOSE = 1e-9  # relative to the larger of 1 and the number: the order of sums may differ
 BEHAVIOURAL = ("behavioural_fidelity", "success_on_explanation", "success_on_complement")
 PREFIXES = ("", *(f"{absence}_" for absence in OTHER_ABSENCES))
-ALIKE = 1e-5  # actions of the same mask in another batch
-# The range of a mean is that of what it is taken of.
+ALIKE = 1e-5  # difference of actions of the same mask in another batch
+# The range of a mean is that of its rows.
 RANGES: dict[str, TypeAdapter[float | None]] = {
     name: TypeAdapter(cast(Any, EpisodeRow.model_fields[name].annotation))
     for name in ControlMetrics.model_fields
 }
 
-# (control, metric, what it equals): 0, 1, or a metric of the explainer. Each follows from the mask alone.
+# (control, metric, its value): 0, 1, or a metric of the explainer. Each follows from the mask.
 IDENTITIES: tuple[tuple[str, str, float | str], ...] = (
     *(
         (name, metric, 0.0) for name in ("all-ones", "zeros", "self") for metric in UNDER_ABSENCES
@@ -73,15 +73,15 @@ IDENTITIES: tuple[tuple[str, str, float | str], ...] = (
 
 
 def entry_findings(entry: Entry) -> Iterator[str]:
-    """Sentences, none where all is well."""
+    """A sentence per finding; none if the entry is consistent."""
     protocol, seed = entry.protocol, entry.explainer.seed
     if protocol.definitions != _definitions(entry):
-        yield f"protocol.definitions are not those of {protocol.id}."
+        yield f"protocol.definitions disagree with those of {protocol.id}."
     if list(protocol.seeds) != episode_seeds(seed, protocol.episodes):
-        yield f"protocol.seeds are not those of seed {seed} and {protocol.episodes} episodes."
+        yield f"protocol.seeds disagree with seed {seed} and {protocol.episodes} episodes."
     explained = sum(row.timesteps for cell in entry.results for row in cell.episodes)
     if entry.cost.explained_timesteps != explained:
-        yield f"cost.explained_timesteps is {entry.cost.explained_timesteps}, the rows have {explained}."
+        yield f"cost.explained_timesteps is {entry.cost.explained_timesteps}, but the rows have {explained}."
     cells = [(cell.task, cell.n_agents) for cell in entry.results]
     if len(set(cells)) != len(cells):
         yield "results hold a cell twice."
@@ -108,18 +108,18 @@ def lacks(cell: CellResult, name: str) -> bool:
 def _cell_findings(entry: Entry, cell: CellResult) -> Iterator[str]:
     task = TASKS.get(cell.task)
     if task is None:
-        yield f"there is no task {shown(cell.task)}."
+        yield f"the task {shown(cell.task)} is unknown."
         return
     if not 1 <= cell.n_agents <= task.max_agents:
-        yield f"the task takes 1 to {task.max_agents} agents."
+        yield f"the task takes 1 to {task.max_agents} agents, got {cell.n_agents}."
     if entry.policy.task != cell.task:
-        yield f"the policy is one for {entry.policy.task}."
+        yield f"the policy was trained for {entry.policy.task}."
     if [row.seed for row in cell.episodes] != list(entry.protocol.seeds):
         yield f"episodes are not one for each of the {entry.protocol.episodes} seeds, in their order."
         return
     unknown = set(cell.not_measured) - set(Metrics.model_fields)
     if unknown:
-        yield f"not_measured names {shown(min(unknown))}, which is no metric."
+        yield f"not_measured names {shown(min(unknown))}, which is not a metric."
     if (cell.behaviour_episodes == 0) != (BEHAVIOUR[0] in cell.not_measured):
         yield f"behaviour_episodes is {cell.behaviour_episodes}, which not_measured contradicts."
     under = cell.absence_behaviour_episodes
@@ -128,7 +128,7 @@ def _cell_findings(entry: Entry, cell: CellResult) -> Iterator[str]:
     if under and under != min(cell.behaviour_episodes, ABSENCE_EPISODES):
         yield f"absence_behaviour_episodes is {under}, of {cell.behaviour_episodes} behaviour_episodes."
     if cell.behaviour_episodes > len(cell.episodes):
-        yield f"behaviour_episodes is {cell.behaviour_episodes}, there are {len(cell.episodes)} episodes."
+        yield f"behaviour_episodes is {cell.behaviour_episodes}, but there are {len(cell.episodes)} episodes."
     for k, row in enumerate(cell.episodes):
         for finding in _row_findings(entry, cell, row, k):
             yield f"episode {k}: {finding}"
@@ -141,14 +141,14 @@ def _row_findings(entry: Entry, cell: CellResult, row: EpisodeRow, k: int) -> It
     if row.length > cell.max_cycles:
         yield f"length {row.length} is more than max_cycles {cell.max_cycles}."
     if row.timesteps != (row.length if most is None else min(row.length, most)):
-        yield f"timesteps {row.timesteps} are not those that the protocol takes of length {row.length}."
+        yield f"timesteps {row.timesteps} disagree with the protocol for an episode of length {row.length}."
     if row.makespan != row.length:
-        yield f"makespan {row.makespan} is not the length {row.length}."
+        yield f"makespan {row.makespan} differs from the length {row.length}."
     for name in ("no_agent_collision", "no_object_collision"):
         if getattr(row, name) not in (0.0, 1.0, None):
             yield f"{name} is {getattr(row, name)}, neither 0 nor 1."
     if row.success_rate is not None and abs(row.success_rate * n - round(row.success_rate * n)) > CLOSE * n:
-        yield f"success_rate {row.success_rate} is no fraction of {n} agents."
+        yield f"success_rate {row.success_rate} is not a fraction of {n} agents."
     if row.attention_entropy is not None and row.attention_entropy > math.log(n) + ALIKE:
         yield f"attention_entropy {row.attention_entropy} is more than log {n}."
     if row.attention_distance is not None and row.attention_distance > n * n + ALIKE:
@@ -168,7 +168,7 @@ def _row_findings(entry: Entry, cell: CellResult, row: EpisodeRow, k: int) -> It
     if k >= SANITY_EPISODES:
         absent += [name for name in SANITY if getattr(row, name) is not None]
     if absent:
-        yield f"{absent[0]} has a value and was not measured."
+        yield f"{absent[0]} has a value but was not measured."
 
 
 def _differences(row: EpisodeRow) -> Iterator[str]:
@@ -187,29 +187,29 @@ def _over_absences(row: EpisodeRow) -> Iterator[str]:
     for name, expected in zip(("message_fidelity", "smallest_message_fidelity"), derived, strict=True):
         value = getattr(row, name)
         if (value is None) is not math.isnan(expected) or (value is not None and not close(value, expected)):
-            yield f"{name} is {value}, by its absence models it is {expected}."
+            yield f"{name} is {value}, but its absence models give {expected}."
 
 
 def _budget_findings(row: EpisodeRow, prefix: str, budget: BudgetRow, senders: int) -> Iterator[str]:
-    """The curves must have the length of the team, and give the two numbers that come of them."""
+    """Findings if curves do not fit the team size, or disagree with the two numbers computed from them."""
     curves = [budget.explained, budget.random, budget.oracle]
     if any(curve is not None and len(curve) != max(senders - 1, 0) for curve in curves):
         yield f"{prefix}budget is not for 1 to {senders - 1} edges."
         return
     x = [np.array(curve or (), dtype=np.float64) for curve in curves]
-    top = getattr(row, f"{prefix}topk_fid_delta", None)  # under zero alone
+    top = getattr(row, f"{prefix}topk_fid_delta", None)  # under the absence model zero only
     budgeted = getattr(row, f"{prefix}budgeted_fidelity")
     if top is not None and not close(top, float(x[0].mean())):
         yield f"{prefix}topk_fid_delta {top} is not the mean of {prefix}budget.explained."
     if budgeted is not None and budget.random is not None and budget.oracle is not None:
         derived = budgeted_fidelity(x[0], x[1], x[2])
         if not close(budgeted, derived):
-            yield f"{prefix}budgeted_fidelity {budgeted} is not that of {prefix}budget, {derived}."
+            yield f"{prefix}budgeted_fidelity is {budgeted}, but {prefix}budget gives {derived}."
 
 
 def _control_findings(cell: CellResult) -> Iterator[str]:
-    expected = FLOORS
-    if set(cell.controls) - OF_KNOWN_ORIGIN not in (expected, expected | CEILINGS):
+    expected = ALWAYS_PRESENT
+    if set(cell.controls) - IF_INITIAL_SEED not in (expected, expected | IF_ORACLE):
         yield f"controls are {shown(', '.join(sorted(cell.controls)), 200)}, expected {sorted(expected)}."
         return
     for name, control in cell.controls.items():
@@ -223,7 +223,7 @@ def _control_findings(cell: CellResult) -> Iterator[str]:
             else expected_value
         )
         if value is not None and other is not None and abs(value - other) > ALIKE:
-            yield f"controls.{name}: {metric} is {value}, and has to be {other} for that mask."
+            yield f"controls.{name}: {metric} is {value}, but must be {other} for that mask."
     best = _mean(cell.controls[ORACLE].fid_delta) if ORACLE in cell.controls else None
     for name in sorted({"all-ones", "zeros", "bernoulli", "self"} & set(cell.controls)):
         value = _mean(cell.controls[name].fid_delta)
@@ -241,13 +241,13 @@ def _summaries_findings(cell: CellResult, name: str, control: ControlMetrics) ->
         metric: getattr(control, metric) for metric in ControlMetrics.model_fields
     }
     wrong = [metric for metric, summary in summaries.items() if (summary is None) != (metric in absent)]
-    if wrong:  # the first is enough
+    if wrong:
         yield f"{wrong[0]} contradicts what was measured."
     for metric, summary in summaries.items():
         if summary is not None and metric not in absent:
             n = acted.get(metric, len(cell.episodes))
             if summary.n + summary.n_nan != n:
-                yield f"{metric} is of {summary.n + summary.n_nan} episodes, expected {n}."
+                yield f"{metric} has {summary.n + summary.n_nan} episodes, expected {n}."
             yield from _summary_findings(metric, summary)
     for prefix in ("", "comm_"):
         names = (f"{prefix}fid_delta", f"{prefix}fid_plus", f"{prefix}fid_minus")
@@ -257,7 +257,7 @@ def _summaries_findings(cell: CellResult, name: str, control: ControlMetrics) ->
 
 
 def _summary_findings(metric: str, summary: Summary) -> Iterator[str]:
-    """The range is that of the metric's rows; the interval holds the mean."""
+    """Findings if numbers are outside the range of the metric's rows, or the mean outside its interval."""
     if (summary.value is None) != (summary.n == 0) or (summary.interval is None) != (summary.n < 2):
         yield f"{metric} has a value or an interval that {summary.n} episodes cannot give."
         return
@@ -265,7 +265,7 @@ def _summary_findings(metric: str, summary: Summary) -> Iterator[str]:
         try:
             RANGES[metric].validate_python(value, strict=True)
         except ValidationError:
-            yield f"{metric} is {value}, out of its range."
+            yield f"{metric} is {value}, outside its range."
             return
     if summary.interval is not None and summary.value is not None:
         low, value, high = summary.interval[0], summary.value, summary.interval[1]
@@ -274,10 +274,10 @@ def _summary_findings(metric: str, summary: Summary) -> Iterator[str]:
 
 
 def close(one: float, other: float) -> bool:
-    """Equal but for rounding."""
+    """Whether two numbers are equal up to rounding."""
     return abs(one - other) <= CLOSE * max(1.0, abs(one), abs(other))
 
 
 def _mean(summary: Summary | None) -> float | None:
-    """None unless it is the mean of every episode: only then do means add up as rows do."""
+    """The mean; None if it skips an episode, because then means do not add up as rows do."""
     return None if summary is None or summary.n_nan else summary.value

@@ -1,13 +1,13 @@
-"""What holds a stranger's code back: as much as this system can, and no more is promised.
+"""Isolation of third-party code, as strong as this system allows.
 
-| | network | files | memory, CPU time, file size | left over processes |
+| | network | files | memory, CPU time, file size | leftover processes |
 |---|---|---|---|---|
 | bubblewrap | none | read-only; homes, /tmp, /run hidden | limited | ended with it |
-| unshare | none | those of the user, written too | limited | ended with its session |
-| rlimits | open | those of the user, written too | limited | ended with its session |
+| unshare | none | the user's, also writable | limited | ended with its session |
+| rlimits | open | the user's, also writable | limited | ended with its session |
 
-None of them keeps a program from reading what is readable to everyone, from using a hole in the kernel or,
-without bubblewrap, from escaping its session. Read a stranger's code before you run it.
+None of these stops a program from reading files that everyone can read, from exploiting the kernel or,
+without bubblewrap, from escaping its session. Read third-party code before you run it.
 """
 
 from __future__ import annotations
@@ -30,21 +30,23 @@ HIDDEN = ("/tmp", "/var/tmp", "/home", "/root", "/run", "/media", "/mnt", "/srv"
 
 @dataclass(frozen=True)
 class Limits:
-    """Of one explainer, over all that it is asked."""
+    """Limits of the process of one explainer."""
 
     cpu_seconds: int = 3600
-    memory_bytes: int = 8 * 2**30  # of address space: torch alone takes about one
+    memory_bytes: int = 8 * 2**30  # of address space: torch alone takes about 1 GiB
     file_bytes: int = 64 * 2**20
-    answer_seconds: float = 900.0  # wall clock, for one episode
+    answer_seconds: float = 900.0  # wall-clock time for one episode
 
     def __post_init__(self) -> None:
         for name in ("cpu_seconds", "memory_bytes", "file_bytes", "answer_seconds"):
             if getattr(self, name) <= 0:
-                raise InputError(f"{name} must be more than 0, got {getattr(self, name)}.")
+                raise InputError(
+                    f"{name} must be more than 0, got {getattr(self, name)}: give a positive number."
+                )
 
     def apply(self) -> None:
-        """Bind the process that calls this, and its children. Called before strange code is imported."""
-        import resource  # Unix has it
+        """Apply the limits to this process and its children, before it imports third-party code."""
+        import resource  # imported lazily: exists on Unix only
 
         for kind, most in (
             (resource.RLIMIT_CPU, self.cpu_seconds),
@@ -59,7 +61,7 @@ class Limits:
 
 @cache
 def strongest() -> Wall:
-    """The strongest wall that works here: a container often forbids what is installed in it."""
+    """The strongest isolation that works here: a container often forbids what is installed in it."""
     walls: tuple[Wall, ...] = ("bubblewrap", "unshare")
     for wall in walls:
         command = walled(wall, ["true"], ())
@@ -74,10 +76,10 @@ def strongest() -> Wall:
 
 
 def walled(wall: Wall, command: Sequence[str], readable: Sequence[Path]) -> list[str]:
-    """The command behind the wall. readable: what it needs of the folders that are hidden."""
+    """The isolated command. readable: paths in hidden folders that it needs."""
     if wall == "bubblewrap":
         hidden = [option for folder in HIDDEN if Path(folder).is_dir() for option in ("--tmpfs", folder)]
-        # A folder in a hidden one comes back; one that holds another is bound first.
+        # Paths in hidden folders are bound again, outer folders first.
         shown = [
             option
             for path in sorted({each.resolve() for each in readable}, key=lambda path: len(path.parts))
@@ -95,12 +97,12 @@ def walled(wall: Wall, command: Sequence[str], readable: Sequence[Path]) -> list
 
 
 def python_folders() -> list[Path]:
-    """Where this interpreter and all that it imports lie."""
+    """The folders of this interpreter and of the modules that it can import."""
     found = [Path(sys.prefix), Path(sys.base_prefix), Path(sys.executable).parent]
     return found + [Path(entry).absolute() for entry in sys.path if entry and Path(entry).exists()]
 
 
 def environment() -> dict[str, str]:
-    """Nothing of the user's environment, where tokens are, but what Python needs to find its packages."""
+    """The variables that Python needs to find its packages. Drops all others, which may hold tokens."""
     kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH", "LANG") if name in os.environ}
     return {**kept, "HOME": "/tmp", "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}

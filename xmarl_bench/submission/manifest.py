@@ -1,4 +1,4 @@
-"""The manifest of a submission bundle: who hands in what, under which licence, file by file."""
+"""The manifest of a submission bundle: its submitter and the hash of every file."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class FileRecord(Record):
 
 
 class Manifest(Record):
-    """Every file of the bundle but the manifest itself. `leaderboard/manifest.schema.json` is this class."""
+    """Lists every file of the bundle but the manifest. `leaderboard/manifest.schema.json` is this class."""
 
     bundle_version: Literal[1] = BUNDLE_VERSION
     submitter: Annotated[str, Field(min_length=1, max_length=200)]
-    contact: Text | None = None  # where to ask
+    contact: Text | None = None  # address for questions
     harness_version: Text
     files: Annotated[dict[str, FileRecord], Field(max_length=1000)]
 
@@ -41,9 +41,9 @@ def file_records(files: Mapping[str, bytes]) -> dict[str, FileRecord]:
 
 
 def rows_csv(entry: Entry) -> bytes:
-    """An entry's episodes for spreadsheets: one line each, nothing where the entry has null.
+    """An entry's episodes for spreadsheets: one line each; null is an empty cell.
 
-    Numbers are written so that they read back to the bit. Columns that an older entry has not are left out.
+    Numbers read back bit for bit. Columns that an older entry lacks are omitted.
     """
     episodes = [(cell, row) for cell in entry.results for row in cell.episodes]
     columns = [

@@ -18,11 +18,11 @@ from xmarl_bench.records.files import pretty_json, write_atomically
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
 
-EPOCH = (1980, 1, 1, 0, 0, 0)  # the first time a zip can hold: the same files give the same bytes
+EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time in a zip; fixed, so that equal files give equal bytes
 
 
 def as_submitted(entry: Entry, submitter: str, code: str | None) -> Entry:
-    """The entry with who hands it in and where the explainer's code is, which are part of its id."""
+    """The entry with submitter and code URL filled in, which are part of its id."""
     explainer = entry.explainer if code is None else entry.explainer.model_copy(update={"code": code})
     changed = entry.model_copy(
         update={"submitter": submitter, "explainer": explainer, "verification": Verification()}
@@ -38,15 +38,15 @@ def bundle_files(
     licence: bytes,
     contact: str | None = None,
 ) -> dict[str, bytes]:
-    """Every file of the bundle, by name. policies: the bundle of each policy that the entries name.
+    """Every file of the bundle, by name. policies: the bundle of each policy of the entries.
 
-    Raises InputError where two entries are of the same score, or a policy cannot be read.
+    Raises InputError if two entries are of the same score, or a policy cannot be read.
     """
     files = {"LICENSE": licence}
     for entry in entries:
         name = f"entries/{entry.file_name}"
         if name in files:
-            raise InputError(f"two of the entries are {entry.file_name}: give each score once.")
+            raise InputError(f"two entries have the file name {entry.file_name}: give each score once.")
         files[name] = entry_text(entry)
         files[f"rows/{entry.file_name.removesuffix('.json')}.csv"] = rows_csv(entry)
     for name, folder in policies.items():
@@ -62,12 +62,12 @@ def bundle_files(
 
 
 def write_bundle(path: Path, files: Mapping[str, bytes]) -> None:
-    """A zip where `path` ends with .zip, else a folder; made beside it and renamed, so whole or not there.
+    """Write a zip if `path` ends with .zip, else a folder: atomically, beside `path`, then renamed.
 
-    Raises InputError where `path` exists.
+    Raises InputError if `path` exists.
     """
     if path.exists():
-        raise InputError(f"{path} exists: give another name, or remove it first.")
+        raise InputError(f"{path} already exists: give another name, or remove it first.")
     if path.suffix == ".zip":
         write_atomically(path, _zipped(files))
         return

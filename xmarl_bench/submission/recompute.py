@@ -1,4 +1,4 @@
-"""The first tier: every aggregate of an entry derived again from its rows."""
+"""The first tier: recomputes every aggregate of an entry from its rows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xmarl_bench.submission.consistency import close
 
 
 class Difference(NamedTuple):
-    """A number of an entry beside what it was found to be."""
+    """A number of an entry and its recomputed value."""
 
     where: str
     entry: float | None
@@ -19,14 +19,14 @@ class Difference(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Absolute difference; infinite where one of the two is null."""
+        """Absolute difference; infinite if one of the two is null."""
         if self.entry is None or self.found is None:
             return 0.0 if self.entry is self.found else float("inf")
         return abs(self.entry - self.found)
 
 
 def recomputed(entry: Entry) -> Iterator[Difference]:
-    """Every aggregate of the entry beside that of its rows."""
+    """Every aggregate of the entry with its value recomputed from the rows."""
     for k, cell in enumerate(entry.results):
         metrics = metrics_of_cell(cell, entry.explainer.seed)
         for name in Metrics.model_fields:
@@ -36,15 +36,15 @@ def recomputed(entry: Entry) -> Iterator[Difference]:
 
 
 def recompute_findings(differences: Iterable[Difference]) -> Iterator[str]:
-    """Sentences on what is `recomputed`, none where the aggregates follow from the rows but for rounding."""
+    """A sentence for each of the `recomputed` aggregates that differs by more than rounding."""
     for where, stated, found in differences:
         same = stated is found or (stated is not None and found is not None and close(stated, found))
         if not same:
-            yield f"{where} is {stated}, the rows give {found}."
+            yield f"{where} is {stated}, but the rows give {found}."
 
 
 def summaries(where: str, entry: Summary | None, found: Summary | None) -> Iterator[Difference]:
-    """The numbers of two summaries, beside each other; NaN-free, so null is a value of its own."""
+    """The numbers of two summaries in pairs. They hold no NaN; null equals only null."""
     for part in ("value", "n", "n_nan"):
         yield Difference(f"{where}.{part}", _part(entry, part), _part(found, part))
     for part, end in (("low", 0), ("high", 1)):

@@ -1,8 +1,8 @@
-"""The tiers that run: some episodes of an entry again (spot), or all of it (full).
+"""The tiers that run an entry again: some episodes (spot), or everything (full).
 
-Spot plays k episodes, drawn anew for each check, explains them and compares each row, but for behavioural
-fidelity: that is of all episodes together. Full scores the entry as `xmarl-bench score` does and compares
-every row, aggregate and control. What was not measured yet when an entry was made is not compared.
+Spot plays and explains k random episodes and compares each row, except behavioural fidelity, which depends on
+all episodes together. Full scores the entry as `xmarl-bench score` does and compares every row, aggregate and
+control. Metrics that are newer than the entry are not compared.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from xmarl_bench.scoring.score import entries_of, score_requests
 from xmarl_bench.submission.consistency import lacks
 from xmarl_bench.submission.recompute import Difference, summaries
 
-# What an explainer's record may say otherwise and still be the same: where it was found, not what it is.
+# Fields of an explainer's record that may differ: they tell where it was found, not what it is.
 WHERE = ("seed", "code", "distribution", "version", "entry_point", "code_sha256")
 
 
 @dataclass
 class Rerun:
-    """Numbers of an entry beside those of the rerun."""
+    """Numbers of an entry and of its rerun."""
 
     episodes: list[list[Difference]] = field(default_factory=list)  # by episode played again
-    aggregates: list[Difference] = field(default_factory=list)  # of full alone
+    aggregates: list[Difference] = field(default_factory=list)  # of full only
     findings: list[str] = field(default_factory=list)
 
     @property
@@ -58,9 +58,9 @@ def rerun(
     episodes: int | None,
     rng: np.random.Generator,
 ) -> Rerun:
-    """Play and explain `episodes` episodes of each cell again, all where it is None.
+    """Play and explain `episodes` episodes of each cell again; None: all.
 
-    Raises InputError where policy, explainer and cells do not fit, or the explainer fails.
+    Raises InputError if policy, explainer and cells do not fit, or if the explainer fails.
     """
     result = Rerun()
     for k, cell in enumerate(entry.results):
@@ -81,12 +81,12 @@ def rerun(
 
 
 def record_findings(entry: ExplainerRecord, found: ExplainerRecord) -> Iterator[str]:
-    """Is the explainer that is to be run the one that the entry is of?"""
+    """Findings if the explainer to run is not the one of the entry."""
     for name in ExplainerRecord.model_fields:
         if name not in WHERE and getattr(entry, name) != getattr(found, name):
-            yield f"explainer.{name} is {getattr(entry, name)!r}, here it is {getattr(found, name)!r}."
+            yield f"explainer.{name} is {getattr(entry, name)!r}, but {getattr(found, name)!r} here."
     if entry.code_sha256 is not None and entry.code_sha256 != found.code_sha256:
-        yield "explainer.code_sha256 is that of another file than is run here."
+        yield "explainer.code_sha256 disagrees with the file run here."
 
 
 def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen: Sequence[int]) -> None:
@@ -116,18 +116,18 @@ def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen:
 
 
 def _newer(cell: CellResult) -> set[str]:
-    """Metrics from after the entry was made."""
+    """Metrics that are newer than the entry."""
     return {name for name in OPTIONAL if lacks(cell, name)}
 
 
 def _full(result: Rerun, where: str, cell: CellResult, request: Request) -> None:
-    (entry,) = entries_of(score_requests([request]))  # in a store of its own: nothing finished is believed
+    (entry,) = entries_of(score_requests([request]))  # with a temporary cache, so that everything is computed
     (again,) = entry.results
     pairs, newer = enumerate(zip(cell.episodes, again.episodes, strict=True)), _newer(cell)
     result.episodes += [list(_rows(f"{where}.episodes.{k}", row, other, newer)) for k, (row, other) in pairs]
     measured = cell.not_measured.keys() == again.not_measured.keys() - newer
     if not measured or cell.controls.keys() != again.controls.keys():
-        result.findings.append(f"{where}: what was measured is not what the rerun measures.")
+        result.findings.append(f"{where}: the rerun measures other metrics or controls than the entry.")
         return
     for name in type(cell.metrics).model_fields:
         if name in newer:
@@ -147,7 +147,7 @@ def _full(result: Rerun, where: str, cell: CellResult, request: Request) -> None
 
 
 def _rows(where: str, entry: EpisodeRow, found: EpisodeRow, skipped: Set[str]) -> Iterator[Difference]:
-    """Every number of two rows but the skipped, beside each other."""
+    """Every number of two rows in pairs, except the skipped metrics."""
     for name in EpisodeRow.model_fields:
         if name.endswith("budget"):
             yield from _budgets(f"{where}.{name}", getattr(entry, name), getattr(found, name))

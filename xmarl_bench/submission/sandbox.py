@@ -1,7 +1,7 @@
-"""A stranger's explainer, asked over a pipe: its code runs in a process of its own, behind a wall.
+"""Runs a third-party explainer in a separate, isolated process, and calls it over a pipe.
 
-The harness sends policy and observations, and gets masks back; it measures them itself, on its own policy.
-So code in there can make a bad mask but no good score: what it returns are numbers, never objects.
+The harness sends policy and observations, receives masks, and measures them itself on its own policy. So the
+explainer's code can return bad masks but cannot change scores: it returns numbers, never objects.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ WORKER = "xmarl_bench.submission.sandbox_worker"
 
 @dataclass
 class Sandbox:
-    """One explainer in a process behind `wall`; end it with `close`, or use it in a `with` statement.
+    """One explainer in a process isolated by `wall`. End it with `close`, or use a `with` statement.
 
     explainer: a registered name, module:Name or path/to/file.py:Name.
     """
@@ -51,9 +51,9 @@ class Sandbox:
     simulates: bool = False  # once it is started: whether the explainer asks for simulators
 
     def start(self) -> dict[str, Any]:
-        """What the explainer says of itself: the fields of `ExplainerRecord`.
+        """Start the process; returns the explainer's declarations, the fields of `ExplainerRecord`.
 
-        Raises InputError where it cannot be loaded.
+        Raises InputError if the explainer cannot be loaded.
         """
         command = [sys.executable, "-m", WORKER, self.explainer, json.dumps(vars(self.limits))]
         readable = python_folders()
@@ -86,21 +86,23 @@ class Sandbox:
         *,
         fitted: str | None = None,
     ) -> Tensor:
-        """(S, N, D) -> (S, N, N), not checked yet: `run_explainer` does that, as with any other."""
+        """(S, N, D) -> (S, N, N), unchecked: `run_explainer` checks it, as for any explainer."""
         header, payload = self._ask("explain", policy, observations, generator, fitted, simulator)
         shape = header.get("shape")
         n_steps, n_agents, _ = observations.shape
         if shape != [n_steps, n_agents, n_agents] or len(payload) != 4 * n_steps * n_agents**2:
-            raise InputError(f"explainer {shown(self.explainer)} answered with no mask: correct it.")
+            raise InputError(
+                f"explainer {shown(self.explainer)} did not return a mask (S, N, N): correct it."
+            )
         return torch.tensor(np.frombuffer(payload, dtype="<f4").reshape(shape))
 
     def fit(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Explain | Simulated:
-        """(S, N, D) states to be fitted on -> the explainer of this policy, as it stays in the process."""
+        """(S, N, D) states to fit on -> the fitted explainer, which stays in the process."""
         header, _ = self._ask("fit", policy, observations, generator)
         return self.explains(str(header.get("key")))
 
     def close(self) -> None:
-        """End the process, and whatever it started in its session."""
+        """End the process and all others in its session."""
         if self.process is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.process.pid, signal.SIGKILL)
@@ -126,7 +128,7 @@ class Sandbox:
         fitted: str | None = None,
         simulator: Simulator | None = None,
     ) -> tuple[dict[str, Any], bytes]:
-        """Send one question and wait for its answer. The generator is told by its seed: it is a new one."""
+        """Send a question and wait for its answer. Sends the seed of the generator, which is unused yet."""
         question = (what, policy, observations.numpy(), generator.initial_seed(), fitted, simulator)
         data = pickle.dumps(question)
         try:
@@ -141,20 +143,20 @@ class Sandbox:
         deadline = time.monotonic() + self.limits.answer_seconds
         lengths = struct.unpack("<IQ", self._read(12, deadline))
         if lengths[0] > MAX_HEADER or lengths[1] > MAX_MASKS:
-            raise InputError(f"explainer {shown(self.explainer)} answered with too much: correct it.")
+            raise InputError(f"explainer {shown(self.explainer)} returned too many bytes: correct it.")
         try:
             header = json.loads(self._read(lengths[0], deadline))
         except (ValueError, RecursionError):
             header = None
         payload = self._read(lengths[1], deadline)
         if not isinstance(header, dict):
-            raise InputError(f"explainer {shown(self.explainer)} answered with no JSON: correct it.")
+            raise InputError(f"explainer {shown(self.explainer)} returned invalid JSON: correct it.")
         if "error" in header:
             raise InputError(shown(header["error"], 500)[1:-1])
         return header, payload
 
     def _read(self, n_bytes: int, deadline: float) -> bytes:
-        """Exactly so many bytes, or an InputError: it ended, or it takes too long."""
+        """Read exactly `n_bytes`. Raises InputError if the process ended or takes too long."""
         out = self._pipe("stdout").fileno()
         parts = bytearray()
         while len(parts) < n_bytes:
@@ -185,6 +187,6 @@ class Sandbox:
         self.close()
         return InputError(
             f"the process of explainer {shown(self.explainer)} ended (exit code {code}), maybe at a limit of "
-            f"{self.limits.memory_bytes / 2**30:g} GiB or {self.limits.cpu_seconds} s: give it more, or "
+            f"{self.limits.memory_bytes / 2**30:g} GiB or {self.limits.cpu_seconds} s: raise the limits, or "
             f"leave it out."
         )

@@ -1,6 +1,6 @@
-"""The process of a stranger's explainer: `python -m xmarl_bench.submission.sandbox_worker NAME LIMITS`.
+"""The process of a third-party explainer: `python -m xmarl_bench.submission.sandbox_worker NAME LIMITS`.
 
-Answers go to what was standard output; whatever the explainer prints goes nowhere.
+Answers go to the original standard output; the explainer's own output is discarded.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ def main() -> None:
         except InputError as error:
             _send(answers, {"error": str(error)})
         except MemoryError:
-            _send(answers, {"error": f"explainer {name!r} ran out of memory: give it more, or leave it out."})
+            _send(
+                answers, {"error": f"explainer {name!r} ran out of memory: raise the limit, or leave it out."}
+            )
 
     worker = Worker(name)
     attempt(worker.load)
@@ -44,14 +46,14 @@ def main() -> None:
 
 
 class Worker:
-    """The explainer and what it was fitted to."""
+    """The explainer and its fitted copies."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.fitted: dict[str, Any] = {}
 
     def load(self) -> tuple[dict[str, Any], bytes]:
-        """What it declares: an `ExplainerRecord`. From here on the code of strangers runs."""
+        """Load the explainer, which runs its code; returns its declarations, an `ExplainerRecord`."""
         from xmarl_bench.plugins.registry import find_explainer
         from xmarl_bench.scoring.score import explainer_record
 
@@ -61,7 +63,7 @@ class Worker:
     def answer(
         self, what: str, policy: Any, observations: Any, seed: int, fitted: str | None, simulator: Any
     ) -> tuple[dict[str, Any], bytes]:
-        """A mask (S, N, N) as float32 bytes, or the key of what was fitted."""
+        """A mask (S, N, N) as float32 bytes, or the key of a fitted explainer."""
         import torch
 
         from xmarl_bench.explain.explainer import fit_explainer, run_explainer
@@ -79,7 +81,7 @@ class Worker:
 
 
 def _receive(pipe: IO[bytes]) -> Any:
-    """What the harness asks; None at the end. It is the harness that is trusted, so objects may come."""
+    """The harness's next question; None at the end. The harness is trusted, so it is unpickled."""
     length = pipe.read(8)
     if len(length) < 8:
         return None

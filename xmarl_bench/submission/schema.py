@@ -1,4 +1,4 @@
-"""The JSON Schemas that are published: `python -m xmarl_bench.submission.schema leaderboard` writes them."""
+"""The published JSON Schemas, written by `python -m xmarl_bench.submission.schema leaderboard`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PUBLISHED: dict[str, type[Record]] = {"entry.schema.json": Entry, "manifest.sche
 
 
 def schema(model: type[Record]) -> dict[str, Any]:
-    """JSON Schema of a record, unknown keys refused. It says nothing of what numbers must fulfil together."""
+    """JSON Schema of a record, without unknown keys. It does not check that numbers are consistent."""
     return {"$schema": DIALECT, **model.model_json_schema()}
 
 

@@ -1,7 +1,8 @@
-"""How near a rerun must come: to the bit on the same platform, within a published tolerance on another.
+"""Tolerances of a rerun: bit for bit on the same platform, within a published tolerance on another.
 
-Matrix products round by the vector instructions of the processor; an episode then differs by rounding, until
-agents touch and a trajectory branches. What that did between instruction sets is in leaderboard/README.md.
+Rounding of matrix products depends on the processor's vector instructions. An episode then differs by
+rounding, until agents touch and its trajectory branches. leaderboard/README.md gives measured differences
+between instruction sets.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from xmarl_bench.submission.recompute import Difference
 
 # Relative to the larger of 1 and the number itself.
 ROWS: Final = 1e-3
-AGGREGATES: Final = 2e-2  # the oracle's own ranking is nothing but ties, which rounding turns over
-BRANCHED: Final = 0.1  # of the episodes played again may branch off
+AGGREGATES: Final = 2e-2  # the oracle's ranking has many ties, which rounding may reorder
+BRANCHED: Final = 0.1  # share of the episodes played again that may branch
 
 
 @dataclass(frozen=True)
 class Platform:
-    """What decides how numbers round."""
+    """The versions and hardware on which rounding depends."""
 
     packages: dict[str, str]
     python: str
@@ -42,12 +43,12 @@ class Platform:
 
 
 def is_same_platform(entry: Entry) -> bool:
-    """Whether the entry says that it was made where numbers round as they do here."""
+    """Whether the entry was made on the same platform as this one, by its provenance."""
     return Platform.of(entry) == Platform.here()
 
 
 def agrees(difference: Difference, tolerance: float | None) -> bool:
-    """Whether a number and that of its rerun are near enough, or the same where the tolerance is None."""
+    """Whether a number agrees with its rerun within the tolerance; None: exactly."""
     if tolerance is None or difference.entry is None or difference.found is None:
         return difference.size == 0.0
     scale = max(1.0, abs(difference.entry), abs(difference.found))
@@ -55,7 +56,7 @@ def agrees(difference: Difference, tolerance: float | None) -> bool:
 
 
 def disagreeing(episodes: Sequence[Sequence[Difference]], *, bitwise: bool) -> list[Difference]:
-    """The worst number of each episode that does not agree; none where no more do than may branch off."""
+    """The largest difference of each episode that disagrees; empty if at most a share BRANCHED does."""
     tolerance = None if bitwise else ROWS
     apart = [
         max(wrong, key=lambda each: each.size)

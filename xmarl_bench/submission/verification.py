@@ -1,6 +1,6 @@
-"""A tier's verdict on entries, and the block that signs one off.
+"""Verifies entries by a tier, and writes the verification block of those that pass.
 
-The verdict never touches a measured value: the block is no part of the entry's id.
+Verification changes no measured value, and the block is not part of the entry's id.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from xmarl_bench.submission.rerun import record_findings, rerun
 from xmarl_bench.submission.sandbox import Sandbox
 from xmarl_bench.submission.tolerance import AGGREGATES, Platform, agrees, disagreeing, is_same_platform
 
-OURS = "xmarl-bench"  # the distribution whose explainers are no strangers
+OURS = "xmarl-bench"  # the distribution whose explainers are trusted
 
 
 class Tier(StrEnum):
-    recompute = "recompute"  # aggregates from rows; nothing is run
-    spot = "spot"  # some episodes again
-    full = "full"  # everything again
+    recompute = "recompute"  # recomputes aggregates from rows; runs nothing
+    spot = "spot"  # runs some episodes again
+    full = "full"  # runs everything again
 
 
 STATUS = {Tier.recompute: "recomputed", Tier.spot: "spot-rerun", Tier.full: "re-executed"}
@@ -51,29 +51,29 @@ class Options:
 
     tier: Tier
     episodes: int = 10  # of each cell, for spot
-    seed: int | None = None  # draws them; None draws others each time, so that nobody knows which
-    explainer: str | None = None  # instead of the name in the entry: module:Name or file.py:Name
+    seed: int | None = None  # for the choice of these episodes; None: unpredictable
+    explainer: str | None = None  # replaces the name in the entry: module:Name or file.py:Name
     trust_code: bool = False
     limits: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
-            raise InputError(f"episodes must be at least 1, got {self.episodes}: play some again.")
+            raise InputError(f"episodes must be at least 1, got {self.episodes}: give a larger number.")
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a tier found on one entry."""
+    """The result of a tier on one entry."""
 
     entry: Entry
     tier: Tier
     bitwise: bool
     episodes: int  # played again
-    max_abs_diff: float | None  # of all numbers compared; None where one of the two is null
+    max_abs_diff: float | None  # of all numbers compared; None if only one of two numbers is null
     findings: tuple[str, ...]
 
     def record(self, path: str, file: str) -> dict[str, object]:
-        """For programs."""
+        """The verdict for JSON."""
         return {
             "path": path,
             "file": file,
@@ -87,11 +87,11 @@ class Verdict:
         }
 
     def block(self, by: str) -> Verification:
-        """Signed off. Raises InputError for an entry that did not pass, or for no name."""
+        """The verification block, signed by `by`. Raises InputError if the entry failed or `by` is empty."""
         if self.findings:
-            raise InputError("an entry that did not pass is not signed off: see what was found.")
+            raise InputError(f"the entry failed verification and cannot be signed: {self.findings[0]}")
         if not by.strip():
-            raise InputError("a verdict is signed off by somebody: give a name.")
+            raise InputError("the name that signs the entry is empty: give one with --by.")
         here = Platform.here()
         return Verification.model_validate(
             {
@@ -109,10 +109,9 @@ class Verdict:
 
 
 def verify(checked: Checked, file: str, options: Options) -> Verdict:
-    """The verdict on an entry of what was checked and found valid.
+    """The verdict on a valid entry of `checked`.
 
-    Raises InputError where the entry cannot be run again: its explainer is a stranger's and not trusted, or
-    not installed, or fails.
+    Raises InputError if the entry cannot be run again: its explainer is not trusted, not installed, or fails.
     """
     entry = checked.entries[file]
     bitwise = is_same_platform(entry)
@@ -120,13 +119,14 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
         differences = checked.recomputed[file]
         tolerance = None if bitwise else CLOSE
         apart = [each for each in differences if not agrees(each, tolerance)]
-        return Verdict(entry, options.tier, bitwise, 0, _largest(differences), _said(apart, "rows give"))
+        found = _sentences(apart, "rows give")
+        return Verdict(entry, options.tier, bitwise, 0, _largest(differences), found)
     rng = np.random.default_rng(options.seed)
     with ExitStack() as stack:
         policy, card = _policy(checked, entry)
         explainer, findings = _explainer(entry, options, stack)
         if card.weights_sha256 != entry.policy.weights_sha256:
-            findings.append(f"policy {entry.policy.name!r} is installed with other weights than the entry's.")
+            findings.append(f"the installed policy {entry.policy.name!r} has other weights than the entry's.")
         if findings:
             return Verdict(entry, options.tier, bitwise, 0, None, tuple(findings))
         episodes = None if options.tier is Tier.full else options.episodes
@@ -134,20 +134,20 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
     apart = disagreeing(again.episodes, bitwise=bitwise)
     tolerance = None if bitwise else AGGREGATES
     apart += [each for each in again.aggregates if not agrees(each, tolerance)]
-    said = (*again.findings, *_said(apart, "rerun gives"))
-    return Verdict(entry, options.tier, bitwise, len(again.episodes), _largest(again.differences), said)
+    found = (*again.findings, *_sentences(apart, "rerun gives"))
+    return Verdict(entry, options.tier, bitwise, len(again.episodes), _largest(again.differences), found)
 
 
 def verify_one(unit: tuple[Checked, str], options: Options) -> Verdict:
-    """As `verify`, of a pair as workers are handed it."""
+    """`verify` for a unit of work."""
     return verify(*unit, options)
 
 
-def _said(apart: list[Difference], source: str) -> tuple[str, ...]:
-    said = [f"{each.where} is {each.entry}, the {source} {each.found}." for each in apart[:MAX_FINDINGS]]
+def _sentences(apart: list[Difference], source: str) -> tuple[str, ...]:
+    found = [f"{each.where} is {each.entry}, but the {source} {each.found}." for each in apart[:MAX_FINDINGS]]
     if len(apart) > MAX_FINDINGS:
-        said.append(f"and {len(apart) - MAX_FINDINGS} numbers more differ.")
-    return tuple(said)
+        found.append(f"and {len(apart) - MAX_FINDINGS} more numbers differ.")
+    return tuple(found)
 
 
 def _largest(differences: list[Difference]) -> float | None:
@@ -156,20 +156,21 @@ def _largest(differences: list[Difference]) -> float | None:
 
 
 def _policy(checked: Checked, entry: Entry) -> tuple[Policy, PolicyCard]:
-    """That of the bundle, or the installed one of that name."""
+    """The policy of the bundle, or else the installed one of that name."""
     name = entry.policy.name
     return checked.load_policy(name) if name in checked.policies else load_policy(find_policy(name))
 
 
 def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[Explainer, list[str]]:
-    """The explainer to run, in a sandbox unless it is ours, and what it says otherwise than the entry."""
+    """The explainer to run, in a sandbox unless it is ours, and where it disagrees with the entry."""
     name = entry.explainer.name if options.explainer is None else options.explainer
     if options.explainer is None and _is_ours(name):
         ours = find_explainer(name)
         return ours, list(record_findings(entry.explainer, explainer_record(ours, 0)))
     if not options.trust_code:
         raise InputError(
-            f"explainer {shown(name)} is code of others: read it, then add --trust-code to run it walled in."
+            f"explainer {shown(name)} is third-party code: read it, then add --trust-code to run it in a "
+            f"sandbox."
         )
     sandbox = stack.enter_context(Sandbox(name, options.limits))
     declared = ExplainerRecord.model_validate(sandbox.start(), strict=False)
@@ -186,7 +187,7 @@ def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[Explai
 
 
 def _is_ours(name: str) -> bool:
-    """Found without loading anything: strangers' packages register explainers too."""
+    """Whether this distribution registers the explainer. Loads no third-party package."""
     if name in CONTROLS:
         return True
     registered = entry_points(group=EXPLAINERS, name=name)
@@ -194,7 +195,7 @@ def _is_ours(name: str) -> bool:
 
 
 def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
-    """For people: one line per finding, or one that says how well it did."""
+    """Lines to print: one per finding, or one that tells how the entry passed."""
     for finding in verdict.findings:
         yield f"{path}: {file}: {finding}"
     if not verdict.findings:

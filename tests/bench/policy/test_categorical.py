@@ -148,7 +148,7 @@ def test_bundle_and_code_are_scored_end_to_end(explainer: str, tmp_path: Path) -
         assert "of the categoricals" in entry.protocol.definitions["gef"]
         assert Entry.model_validate_json(entry.model_dump_json()) == entry
     changed = entries[0].protocol.model_copy(update={"definitions": DEFINITIONS})
-    assert "protocol.definitions are not those of xmarl-3." in list(
+    assert "protocol.definitions disagree with those of xmarl-3." in list(
         entry_findings(entries[0].model_copy(update={"protocol": changed}))
     )
     assert (

@@ -97,27 +97,27 @@ def test_validate_exits_0_1_2(tmp_path: Path, entries: list[Entry], run_cli: Run
 
 FOUND: list[tuple[str, Edit]] = [
     ("definitions", lambda v: v["protocol"]["definitions"].update(gef="something else")),
-    ("seeds are not those", lambda v: swap(v["protocol"]["seeds"], 0, 1)),
+    ("seeds disagree with", lambda v: swap(v["protocol"]["seeds"], 0, 1)),
     ("one for each of the 7 seeds", lambda v: rows(v).pop()),
     ("one for each of the 7 seeds", lambda v: swap(rows(v), 0, 1)),
     ("explained_timesteps", lambda v: v["cost"].update(explained_timesteps=1)),
     ("a cell twice", lambda v: v["results"].append(v["results"][0])),
-    ("the policy is one for", lambda v: v["results"][0].update(task="blind_navigation_v0")),
+    ("the policy was trained for", lambda v: v["results"][0].update(task="blind_navigation_v0")),
     ("takes 1 to 5 agents", lambda v: v["results"][0].update(n_agents=9)),
-    ("there is no task", lambda v: v["results"][0].update(task="blind_flight_v0")),
-    ("which is no metric", lambda v: v["results"][0]["not_measured"].update(charm="unseen")),
+    ("blind_flight_v0' is unknown", lambda v: v["results"][0].update(task="blind_flight_v0")),
+    ("which is not a metric", lambda v: v["results"][0]["not_measured"].update(charm="unseen")),
     ("behaviour_episodes is 0", lambda v: v["results"][0].update(behaviour_episodes=0)),
     ("behaviour_episodes is 8", lambda v: v["results"][0].update(behaviour_episodes=8)),
     ("success_on_explanation has a value", lambda v: rows(v)[5].update(success_on_explanation=1.0)),
     ("weight_randomisation has a value", lambda v: rows(v)[6].update(weight_randomisation=0.5)),
     ("makespan", lambda v: rows(v)[2].update(makespan=7.0)),
     ("neither 0 nor 1", lambda v: rows(v)[2].update(no_agent_collision=0.5)),
-    ("no fraction of 3", lambda v: rows(v)[2].update(success_rate=0.5)),
+    ("not a fraction of 3", lambda v: rows(v)[2].update(success_rate=0.5)),
     ("more than log 3", lambda v: rows(v)[2].update(attention_entropy=1.2)),
     ("is not fid_plus - fid_minus", lambda v: rows(v)[2].update(fid_plus=rows(v)[2]["fid_plus"] + 0.01)),
     ("not the mean of", lambda v: rows(v)[2].update(comm_topk_fid_delta=0.0)),
     ("budgeted_fidelity", lambda v: rows(v)[2].update(budgeted_fidelity=0.999)),
-    ("by its absence models", lambda v: rows(v)[2].update(smallest_message_fidelity=-0.5)),
+    ("but its absence models give", lambda v: rows(v)[2].update(smallest_message_fidelity=-0.5)),
     ("budgeted_fidelity", lambda v: rows(v)[2].update(resample_budgeted_fidelity=0.999)),
     ("budget is not for 1 to 2 edges", lambda v: swap(rows(v)[2], "budget", "comm_budget")),
     ("the rows give", lambda v: rows(v)[2].update(gef=rows(v)[2]["gef"] / 2)),
@@ -127,8 +127,8 @@ FOUND: list[tuple[str, Edit]] = [
     ("for that mask", lambda v: swap(controls(v), "zeros", "all-ones")),
     ("for that mask", lambda v: swap(controls(v), "inverted", "random")),
     ("contradicts what was measured", lambda v: controls(v)["self"].update(gef=None)),
-    ("is of 8 episodes", lambda v: controls(v)["self"]["gef"].update(n_nan=1)),
-    ("out of its range", lambda v: controls(v)["random"]["gef"].update(value=1.5, interval=[1.0, 2.0])),
+    ("has 8 episodes", lambda v: controls(v)["self"]["gef"].update(n_nan=1)),
+    ("outside its range", lambda v: controls(v)["random"]["gef"].update(value=1.5, interval=[1.0, 2.0])),
     ("not in its interval", lambda v: controls(v)["random"]["gef"].update(value=0.001, interval=[0.1, 0.2])),
     ("more than the oracle's", lambda v: controls(v)["oracle"].update(controls(v)["random"])),
 ]  # fmt: skip
@@ -154,13 +154,13 @@ def test_files_of_a_bundle_must_agree(files: Mapping[str, bytes], entries: list[
     cases: dict[str, dict[str, bytes]] = {
         "does not list README.md": {**files, "README.md": b"hello"},
         "which the bundle does not hold": {key: data for key, data in files.items() if key != csv},
-        "is not that of the file": {**files, "LICENSE": b"Nobody may use this.\n"},
+        "differs from the file": {**files, "LICENSE": b"Nobody may use this.\n"},
         "LICENSE: it is missing": with_manifest({k: v for k, v in files.items() if k != "LICENSE"}),
         "manifest.json: it is missing": {k: v for k, v in files.items() if k != MANIFEST},
-        "other rows than the entry": with_manifest({**files, csv: files[csv].replace(b",8,", b",7,", 1)}),
+        "disagrees with the entry": with_manifest({**files, csv: files[csv].replace(b",8,", b",7,", 1)}),
         "rows/*.csv is missing": with_manifest({k: v for k, v in files.items() if k != csv}),
         "its name should be": with_manifest({**files, "entries/other.json": files[f"entries/{name}"]}),
-        "no entry that it belongs to": with_manifest({**files, "rows/other.csv": files[csv]}),
+        "it belongs to no entry": with_manifest({**files, "rows/other.csv": files[csv]}),
         "its policy is missing": with_manifest({k: v for k, v in files.items() if "policies" not in k}),
         "it holds no entry": with_manifest({k: v for k, v in files.items() if "entries" not in k}),
         "no entry is of this policy": with_manifest(
@@ -177,7 +177,7 @@ def test_a_policy_with_another_name_is_found(files: Mapping[str, bytes], pack: P
     card = files["policies/small/policy.json"].replace(b'"name": "small"', b'"name": "other"')
     findings = check(pack(with_manifest({**files, "policies/small/policy.json": card}))).findings
     assert len(findings) == 2
-    assert all("policies/small: its name is not the policy.name of entries/" in each for each in findings)
+    assert all("policies/small: its name disagrees with policy.name of entries/" in each for each in findings)
 
 
 @pytest.mark.slow
@@ -203,7 +203,7 @@ def test_validating_does_not_import_torch(
 
 
 def test_names_of_controls_agree() -> None:
-    known = consistency.FLOORS | consistency.CEILINGS | consistency.OF_KNOWN_ORIGIN
+    known = consistency.ALWAYS_PRESENT | consistency.IF_ORACLE | consistency.IF_INITIAL_SEED
     assert {*CONTROLS, NEAREST, INITIAL_ATTENTION, INVERTED} == known
 
 

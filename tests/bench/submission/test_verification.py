@@ -90,7 +90,7 @@ def test_a_tampered_row_is_found_by_a_rerun(
     assert [finding.split(" is ")[0] for finding in spot.findings] == ["results.0.episodes.3.gef"]
     assert spot.max_abs_diff is not None
     assert 0 < spot.max_abs_diff < 1e-5
-    with pytest.raises(InputError, match="did not pass is not signed off"):
+    with pytest.raises(InputError, match="failed verification and cannot be signed"):
         spot.block("me")
     for draws_it in (True, False):  # one of seven episodes, which may not be drawn
         seeds = (
@@ -153,7 +153,7 @@ def test_an_entry_from_before_a_metric_was_measured_stays_valid(
         entries[0], lambda value: value["protocol"]["definitions"].pop("mean_behavioural_fidelity")
     )
     findings = check(pack(with_entry(files, undefined), "undefined")).findings
-    assert any("protocol.definitions are not those of" in finding for finding in findings)
+    assert any("protocol.definitions disagree with those of" in finding for finding in findings)
 
 
 def swapped(files: Mapping[str, bytes], entry: Entry, tmp_path: Path) -> tuple[dict[str, bytes], Entry]:
@@ -176,9 +176,8 @@ def test_a_swapped_policy_is_found(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack, tmp_path: Path
 ) -> None:
     other, tampered = swapped(files, entries[0], tmp_path)
-    assert any(
-        "its weights_sha256 is not" in each for each in check(pack(with_manifest(other), "a")).findings
-    )
+    found = check(pack(with_manifest(other), "a")).findings
+    assert any("its weights_sha256 disagrees with" in each for each in found)
     # With the entries' hashes swapped too, only a rerun finds it.
     name = entries[1].file_name
     kept = {key: data for key, data in other.items() if name.removesuffix(".json") not in key}
@@ -202,7 +201,9 @@ def test_changed_seeds_are_found(files: Mapping[str, bytes], entries: list[Entry
             row.update(seed=seed)
 
     chosen = edited(entries[0], other_list, aggregates=True)
-    assert any("not those of seed 0" in each for each in check(pack(with_entry(files, chosen), "a")).findings)
+    assert any(
+        "disagree with seed 0" in each for each in check(pack(with_entry(files, chosen), "a")).findings
+    )
     # Episodes of one seed given as those of another: aggregates match, episodes do not.
     renamed = edited(entries[0], other_run, aggregates=True)
     name = entries[0].file_name
@@ -299,8 +300,8 @@ def test_third_party_code_runs_only_if_trusted_and_in_the_sandbox(
     code.write_text(STRANGER + "# changed since\n")
     ran = run_cli("verify", path, "--tier", "spot", "--trust-code", "--explainer", f"{code}:other")
     assert ran.code == 1
-    assert "explainer.stochastic is True, here it is False" in ran.out
-    assert "code_sha256 is that of another file" in ran.out
+    assert "explainer.stochastic is True, but False here" in ran.out
+    assert "code_sha256 disagrees with the file" in ran.out
 
 
 def test_on_another_machine_there_is_a_tolerance(
@@ -324,6 +325,6 @@ def test_on_another_machine_there_is_a_tolerance(
     assert verification.STATUS[Tier.full] == "re-executed"
     with pytest.raises(InputError, match="episodes must be at least 1"):
         Options(Tier.spot, episodes=0)
-    with pytest.raises(InputError, match="give a name"):
+    with pytest.raises(InputError, match="the name that signs the entry is empty"):
         Verdict(entry, Tier.spot, True, 1, 0.0, ()).block(" ")
     assert Checked(Path("x.zip")).is_bundle

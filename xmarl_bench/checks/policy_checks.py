@@ -206,7 +206,7 @@ CHECKS: Final[dict[str, Callable[[PolicySubject], str]]] = {
     "output ranges": ranges,
     "repeats": repeats,
     "independent of the batch": batch,
-    "a mask of ones changes nothing": mask_of_ones,
+    "mask of ones is neutral": mask_of_ones,
     "permutation equivariance": equivariance,
     "blind without messages": blindness,
     "masks reach their edges": receivers,

@@ -26,7 +26,7 @@ SCORE_OPTIONS ?= --policy default --explainer attention $(OTHERS:%=--explainer %
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv score quick test lint type board bench wheel-test
+.PHONY: help venv score larger quick test lint type board bench wheel-test
 
 help:  ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -58,8 +58,16 @@ lint: $(STAMP)  ## Check style and format with ruff
 type: $(STAMP)  ## Check types of packages and tests with mypy
 	$(BIN)/mypy
 
+# Policies of five agents in larger teams, at some timesteps of each episode: 2^N rows are tried for each agent.
+LARGER_OPTIONS ?= --policy finished --explainer all --no-behaviour all --agents 5 --team 8 --team 10 \
+	--task blind_navigation_v0 --task blind_discovery_v0 --timesteps 40
+
+larger: $(STAMP)  ## Score policies of five agents in teams of eight and ten
+	$(BIN)/xmarl-bench score --jobs 2 --out $(OUT) $(LARGER_OPTIONS)
+
 board: $(STAMP)  ## Bring leaderboard/ and the documents made of it up to date: hours
 	$(MAKE) score ALL=1 OUT=leaderboard
+	$(MAKE) larger OUT=leaderboard
 	for each in ranking scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
 
 bench: $(BENCH_STAMP)  ## Measure tasks, explainers and trainer beside those of others

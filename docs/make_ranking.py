@@ -63,7 +63,9 @@ def _delta(ranking: dict[str, Any], name: str) -> float:
 
 def page(text: str, leaderboard: dict[str, Any]) -> str:
     """The README with this part replaced by the ranking over all tasks and team sizes."""
-    (ranking,) = (each for each in leaderboard["rankings"] if each["task"] is None)
+    (ranking,) = (
+        each for each in leaderboard["rankings"] if each["task"] is None and each["oracle"] == "enumerated"
+    )
     before, after = text.split(BEGIN)[0], text.split(END)[1]
     return before + BEGIN + section(ranking) + END + after
 

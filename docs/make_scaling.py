@@ -101,7 +101,9 @@ def page(text: str, entries: list[Entry]) -> str:
 
 
 def measured() -> list[Entry]:
-    return [entry for _, entry in read_entries(ENTRIES)]
+    """Entries of policies in teams of the size that they were trained for."""
+    entries = [entry for _, entry in read_entries(ENTRIES)]
+    return [each for each in entries if {cell.n_agents for cell in each.results} == {each.policy.n_agents}]
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ from xmarl_bench.entry.schema import (
     ExplainerRecord,
     ExplanationRow,
     Metrics,
+    OracleRecord,
     PolicyRecord,
     Protocol,
     Provenance,
@@ -44,6 +45,8 @@ def made_entry(
     episodes: int = 50,
     control: bool = False,
     submitter: str | None = None,
+    oracle: OracleRecord | None = None,
+    trained: int | None = None,
     **constant: float | None,
 ) -> Entry:
     """Metrics of an episode are within 0.1 of `level`, in [0, 1]; those in `constant` have a fixed value.
@@ -63,6 +66,7 @@ def made_entry(
         not_measured={"no_object_collision": "the task has no walls"},
         controls={name: ControlMetrics.model_validate(shared) for name in (*CONTROLS, NEAREST, INVERTED)},
         behaviour_episodes=episodes,
+        oracle=oracle,
         episodes=rows,
     )
     return make_entry(
@@ -70,7 +74,7 @@ def made_entry(
         policy=PolicyRecord(
             name=policy,
             task=task,
-            n_agents=n_agents,
+            n_agents=n_agents if trained is None else trained,
             weights_sha256=f"{derived_seed(policy):064x}",
             architecture=ARCHITECTURE,
             attention_entropy=attention_entropy,

@@ -106,9 +106,9 @@ def board_csv(board: Mapping[str, Any]) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
-        ["protocol", "episodes", "timesteps", "task", "n_agents", "max_cycles", "policy", "weights_sha256",
-         "gate", "explainer", "control", "rank", "rank_low", "rank_high", "tie_group", "submitter",
-         "verification", "entry_id"]
+        ["protocol", "episodes", "timesteps", "task", "n_agents", "max_cycles", "oracle", "policy",
+         "trained_n_agents", "weights_sha256", "gate", "explainer", "control", "rank", "rank_low",
+         "rank_high", "tie_group", "submitter", "verification", "entry_id"]
         + [f"{metric}{part}" for metric in COLUMNS for part in ("", "_low", "_high")]
     )  # fmt: skip
     for table in board["tables"]:
@@ -117,8 +117,9 @@ def board_csv(board: Mapping[str, Any]) -> bytes:
             for row in policy["rows"]:
                 writer.writerow(
                     [protocol["id"], protocol["episodes"], protocol["timesteps"], table["task"],
-                     table["n_agents"], table["max_cycles"], policy["name"], policy["weights_sha256"],
-                     policy["gate"], row["explainer"], row["control"], row["rank"],
+                     table["n_agents"], table["max_cycles"], table["oracle"], policy["name"],
+                     policy["trained_n_agents"], policy["weights_sha256"], policy["gate"],
+                     row["explainer"], row["control"], row["rank"],
                      *(row["rank_interval"] or (None, None)), row["tie_group"], row["submitter"],
                      row["verification"], row["entry_id"]]
                     + [number for metric in COLUMNS for number in _numbers(row["metrics"][metric])]

@@ -80,6 +80,7 @@ def _compact(
                     "lambda": policy["attention_entropy"],
                     "training_seed": policy["training_seed"],
                     "trained_n_agents": policy["trained_n_agents"],
+                    "oracle_error": short(policy["oracle_error"]),
                     "gate": policy["gate"],
                     "metrics": {name: shown_value(policy["metrics"][name]) for name in POLICY_METRICS},
                 }
@@ -104,7 +105,7 @@ def _compact(
             for key, protocol in board["protocols"].items()
         },
         "tables": [
-            {key: table[key] for key in ("task", "n_agents", "max_cycles", "protocol")}
+            {key: table[key] for key in ("task", "n_agents", "max_cycles", "protocol", "oracle")}
             for table in board["tables"]
         ],
         "policies": policies,
@@ -112,7 +113,7 @@ def _compact(
         "reasons": reasons,
         "rankings": [
             {
-                **{key: ranking[key] for key in ("protocol", "task", "n_agents")},
+                **{key: ranking[key] for key in ("protocol", "oracle", "task", "n_agents")},
                 "n_policies": len(ranking["policies"]),
                 "improvement": ranking["improvement"],
                 "rows": [

@@ -1,8 +1,10 @@
 """From entries to the board: tables per cell and protocol, ranked within a policy; rankings over policies.
 
-Entries stand in one table only where protocol and cell are identical. Within a policy rows are ranked by
-paired episodes; over policies, which are the units then, by the mean of the order, which is normalised for
-each policy (0 a random ranking, 1 the best one), unlike the paper's metrics.
+Entries stand in one table only where protocol and cell are identical and the oracle was found in the same
+way: enumerated and sampled ones are never mixed. A policy in a team of another size than it was trained for
+is ranked in that cell, but not over all cells, where its training run would count twice. Within a policy
+rows are ranked by paired episodes; over policies, which are the units then, by the mean of the order, which
+is normalised for each policy (0 a random ranking, 1 the best one), unlike the paper's metrics.
 """
 
 from __future__ import annotations
@@ -64,6 +66,7 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
                 "n_agents": cell.n_agents,
                 "max_cycles": cell.max_cycles,
                 "protocol": key,
+                "oracle": cell.oracle_kind,
             }
             groups = grouped.setdefault(canonical_json(scope), {})
             scopes[canonical_json(scope)] = scope
@@ -114,6 +117,7 @@ def _policy(entry: Entry, cell: CellResult) -> Json:
         "attention_entropy": entry.policy.attention_entropy,
         "training_seed": entry.policy.training_seed,
         "trained_n_agents": entry.policy.n_agents,
+        "oracle_error": None if cell.oracle is None else cell.oracle.error,
         "metrics": cell.metrics.model_dump(mode="json", include=set(POLICY_METRICS)),
         "gate": shut_gate(cell.metrics),
     }
@@ -179,17 +183,22 @@ def _finish(group: Group) -> None:
 
 
 def _rankings(listed: Sequence[tuple[Json, Sequence[Group]]]) -> list[Json]:
-    """One over all tables of a protocol, and one for each of its tasks and team sizes."""
-    scoped: dict[tuple[str, str | None, int | None], list[tuple[Json, Group]]] = {}
+    """One over all tables of a protocol and kind of oracle, and one for each of their tasks and team sizes.
+
+    The first is over policies in teams of the size that they were trained for.
+    """
+    scoped: dict[tuple[str, str, str | None, int | None], list[tuple[Json, Group]]] = {}
     for scope, groups in listed:
-        protocol = scope["protocol"]
+        table, cell = (scope["protocol"], scope["oracle"]), (scope["task"], scope["n_agents"])
         for group in groups:
-            if group.ranked:
-                scoped.setdefault((protocol, None, None), []).append((scope, group))
-                scoped.setdefault((protocol, scope["task"], scope["n_agents"]), []).append((scope, group))
+            if not group.ranked:
+                continue
+            if group.policy["trained_n_agents"] == scope["n_agents"]:
+                scoped.setdefault((*table, None, None), []).append((scope, group))
+            scoped.setdefault((*table, *cell), []).append((scope, group))
     return [
-        {"protocol": protocol, "task": task, "n_agents": n_agents, **_ranking(pairs)}
-        for (protocol, task, n_agents), pairs in scoped.items()
+        {"protocol": protocol, "oracle": oracle, "task": task, "n_agents": n_agents, **_ranking(pairs)}
+        for (protocol, oracle, task, n_agents), pairs in scoped.items()
     ]
 
 
@@ -220,7 +229,7 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
     return {
         "policies": [
             {"name": pairs[k][1].policy["name"], "task": pairs[k][0]["task"],
-             "n_agents": pairs[k][0]["n_agents"]}
+             "n_agents": pairs[k][0]["n_agents"], "trained_n_agents": pairs[k][1].policy["trained_n_agents"]}
             for k in chosen
         ],
         "improvement": _improvement([pairs[k][0] for k in chosen], rows),
@@ -275,10 +284,11 @@ def _mean(rows: Sequence[Json], metric: str) -> float | None:
     return float(np.mean(values)) if len(values) == len(rows) else None
 
 
-def _table_order(scope: Json, protocol: Json) -> tuple[str, int, int, int, bytes]:
-    """By cell, then the tables of more episodes first."""
+def _table_order(scope: Json, protocol: Json) -> tuple[bool, str, int, int, int, bytes]:
+    """Those whose oracle is enumerated, then by cell, then the tables of more episodes first."""
     timesteps = protocol["timesteps"]
     return (
+        scope["oracle"] == "sampled",
         scope["task"],
         scope["n_agents"],
         -protocol["episodes"],

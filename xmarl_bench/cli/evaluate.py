@@ -18,6 +18,7 @@ from xmarl_bench.cli.options import (
     Policies,
     Seed,
     Tasks,
+    Teams,
     TrustCode,
 )
 
@@ -25,6 +26,7 @@ from xmarl_bench.cli.options import (
 def evaluate(
     task: Tasks = ["all"],  # noqa: B006
     agents: Agents = ["all"],  # noqa: B006
+    team: Teams = [],  # noqa: B006
     policy: Policies = ["all"],  # noqa: B006
     episodes: Episodes = 50,
     max_cycles: MaxCycles = None,
@@ -44,7 +46,7 @@ def evaluate(
     from xmarl_bench.rollout.evaluation import evaluate as run
     from xmarl_bench.scoring.selection import select_policies
 
-    selected = select_policies(policy, task, agents, trust_code=trust_code)
+    selected = select_policies(policy, task, agents, team, trust_code=trust_code)
     pairs = [(network, card, cell) for network, card, cells in selected for cell in cells]
     performances = run(
         [(network, cell) for network, _, cell in pairs],

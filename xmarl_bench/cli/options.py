@@ -11,6 +11,14 @@ Tasks = Annotated[list[str], typer.Option("--task", help="Task, or 'all'. Repeat
 Agents = Annotated[
     list[str], typer.Option("--agents", help="Team size, or 'all': each policy's own. Repeatable.")
 ]
+Teams = Annotated[
+    list[int],
+    typer.Option(
+        "--team",
+        help="Team size that the chosen policies play in, in place of the one they were trained for "
+        "(zero-shot). Repeatable.",
+    ),
+]
 Policies = Annotated[
     list[str],
     typer.Option(

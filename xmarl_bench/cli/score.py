@@ -22,6 +22,7 @@ from xmarl_bench.cli.options import (
     Resume,
     Seed,
     Tasks,
+    Teams,
     TrustCode,
 )
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 def score(
     task: Tasks = ["all"],  # noqa: B006
     agents: Agents = ["all"],  # noqa: B006
+    team: Teams = [],  # noqa: B006
     policy: Policies = ["default"],  # noqa: B006
     explainer: Explainers = ["all"],  # noqa: B006
     episodes: Episodes = 50,
@@ -109,7 +111,7 @@ def score(
     )
     explainers = select_explainers(explainer)
     requests = plan(
-        select_policies(policy, task, agents, trust_code=trust_code),
+        select_policies(policy, task, agents, team, trust_code=trust_code),
         explainers,
         sampling,
         slow,

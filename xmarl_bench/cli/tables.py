@@ -178,9 +178,15 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
             else f"{protocol['timesteps']} timesteps of each"
         )
         states = f"{table['task']}, {table['n_agents']} agents: {protocol['episodes']} episodes, {steps}"
+        if table["oracle"] == "sampled":
+            states += ", oracle sampled"
         for group in table["policies"]:
+            trained = group["trained_n_agents"]
+            zero_shot = "" if trained == table["n_agents"] else f", trained with {trained} agents"
             gate = "" if group["gate"] is None else f"\nnot ranked: {group['gate']}"
-            shown = Table("explainer", title=f"{group['name']}\n{states}{gate}", title_justify="left")
+            shown = Table(
+                "explainer", title=f"{group['name']}{zero_shot}\n{states}{gate}", title_justify="left"
+            )
             for heading in (order, "95 %", *others):
                 shown.add_column(heading, justify="right")
             for row in group["rows"]:

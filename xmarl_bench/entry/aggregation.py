@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.entry.schema import (
     BehaviourRow,
+    BudgetRow,
     CellResult,
     ControlMetrics,
     EpisodeRow,
@@ -17,6 +19,7 @@ from xmarl_bench.entry.schema import (
     Metrics,
     Summary,
 )
+from xmarl_bench.metrics.budgeted_fidelity import SMALLEST
 from xmarl_bench.metrics.statistics import percentile_interval
 from xmarl_bench.metrics.table import Group, names_of
 from xmarl_bench.reproducible import derived_seed
@@ -24,6 +27,8 @@ from xmarl_bench.reproducible import derived_seed
 BEHAVIOUR = names_of(Group.BEHAVIOUR)
 BEHAVIOUR_UNDER = names_of(Group.BEHAVIOUR_UNDER)
 SANITY = names_of(Group.SANITY)
+# By absence model.
+MESSAGE_BUDGETS = tuple(name for name in EpisodeRow.model_fields if name.endswith("_budget"))
 
 
 class Acted(NamedTuple):
@@ -79,6 +84,30 @@ def control_metrics(
     values = {name: [getattr(row, name) for row in rows] for name in ExplanationRow.model_fields}
     values |= {name: [getattr(row, name) for row in played] for name in BehaviourRow.model_fields}
     return ControlMetrics.model_validate(_summaries(values, seed, not_measured, Acted(len(played), absences)))
+
+
+def sampling_error(rows: Sequence[EpisodeRow]) -> float | None:
+    """The standard error that estimating random@k gives a message fidelity of 0, over episodes.
+
+    At most: budgets are taken to err together, and the absence model that errs most stands for all. None
+    where random@k was not estimated, or nothing is to be ranked.
+    """
+    found = []
+    for name in MESSAGE_BUDGETS:
+        squares = [e * e for row in rows if (e := _budget_error(getattr(row, name))) is not None]
+        if squares:
+            found.append(math.sqrt(sum(squares)) / len(squares))
+    return max(found, default=None)
+
+
+def _budget_error(budget: BudgetRow | None) -> float | None:
+    """Of one episode: errors of random@k in units of oracle@k - random@k, mean over k."""
+    if budget is None or budget.random is None or budget.oracle is None or budget.random_error is None:
+        return None
+    curves = (budget.random, budget.oracle, budget.random_error)
+    random, oracle, error = (np.array(each, dtype=np.float64) for each in curves)
+    counted = oracle - random >= SMALLEST
+    return float((error[counted] / (oracle - random)[counted]).mean()) if counted.any() else None
 
 
 def _summaries(

@@ -17,6 +17,15 @@ SANITY_TIMESTEPS: Final = 20
 # Of the episodes that are played on an explanation, so many also under the absence models other than zero.
 ABSENCE_EPISODES: Final = 10
 
+# Of cells whose oracle is sampled; they share no table with others.
+SAMPLED: Final = (
+    "random@k: estimate by random orders of the senders of each row, in pairs of an order and its "
+    "reverse: mean FidDelta of the masks of the k first of every row. oracle@k: estimate from below, the "
+    "best mask of k edges from every row among these, the k highest of attention, greedy chains up and "
+    "down and, where rows do not act alone, two sweeps of swaps row by row; at least FidDelta@k of the "
+    "mask that is scored. FidDelta@k of a mask with equal values: mean over the same orders"
+)
+
 DEFINITIONS: dict[str, str] = {
     "F(m)": "action tanh(loc) in [-1, 1] with the message on edge j -> i scaled by m[i, j] after the "
     "softmax, nothing renormalised",

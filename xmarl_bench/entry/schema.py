@@ -163,12 +163,16 @@ class PolicyRow(MetricsRow):
     """Metrics that depend on the policy only."""
 
 
+OracleKind = Literal["enumerated", "sampled"]
+
+
 class BudgetRow(Record):
     """FidDelta@k over one episode, k = 1 .. M - 1 of M senders: the input of `budgeted_fidelity`."""
 
     explained: tuple[float | None, ...]  # of the k highest edges of the mask's rows
     random: tuple[float | None, ...] | None  # of a random ranking, in expectation; null without an oracle
     oracle: tuple[float | None, ...] | None  # of the best k edges
+    random_error: tuple[float | None, ...] | None = left_out()  # standard error, where sampled
 
 
 @of_metrics(_row_type, Group.SANITY, Group.POLICY, Group.GAIN, Group.TASK)
@@ -204,6 +208,16 @@ class Metrics(ExplanationMetrics, BehaviourMetrics):
     """Every metric of a cell; null if it was not measured, see `CellResult.not_measured`."""
 
 
+class OracleRecord(Record):
+    """How random@k and oracle@k of a cell were found: over all rows, or over some that were drawn."""
+
+    kind: OracleKind
+    orders: Count | None = left_out()  # random ones, of the senders of each row
+    # Standard error that drawing gives a message fidelity of 0, at most; null where it is not a number.
+    error: NotNegative | None = left_out()
+    definition: Text | None = left_out()
+
+
 class CellResult(Record):
     task: Name
     n_agents: Agents
@@ -213,7 +227,13 @@ class CellResult(Record):
     controls: Annotated[dict[Name, ControlMetrics], Field(max_length=100)]
     behaviour_episodes: Count  # number of first episodes also played on the explanation and its complement
     absence_behaviour_episodes: Count | None = left_out()  # number of these played under other absence models
+    oracle: OracleRecord | None = left_out()  # None: enumerated, or `not_measured` gives the reason
     episodes: tuple[EpisodeRow, ...]
+
+    @property
+    def oracle_kind(self) -> OracleKind:
+        """Entries share a table only where it is the same; `enumerated` also where there is no oracle."""
+        return "enumerated" if self.oracle is None else self.oracle.kind
 
 
 class Cost(Record):

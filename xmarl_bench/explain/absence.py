@@ -22,7 +22,8 @@ S is the number of timesteps, N agents, D observation entries, W the width of a 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -31,6 +32,7 @@ from torch import Tensor
 
 from xmarl_bench.explain.fitting import fit_states
 from xmarl_bench.explain.oracle import binary_rows, change_from_last, check_oracle, chunks
+from xmarl_bench.metrics import prediction_change
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy, Policy
 from xmarl_bench.policy.distribution import ActionDistribution
@@ -111,3 +113,42 @@ def step_under(
         heard = (mask * prepared.attention).sum(dim=-1, keepdim=True)
         mask = mask / heard.clamp_min(torch.finfo(heard.dtype).tiny)
     return policy.decode_step(prepared, mask, stand_in)
+
+
+@dataclass(frozen=True)
+class Removal:
+    """Removes messages from a stretch of states under one absence model, by any masks."""
+
+    policy: Policy
+    prepared: Any
+    absence: Absence
+    replaced: tuple[Tensor | None, ...]  # of `stand_ins`, for these timesteps
+    full: tuple[ActionDistribution, ...]  # F(1), for each effect that is averaged
+
+    @classmethod
+    @torch.no_grad()
+    def of(
+        cls, policy: Policy, observations: Tensor, absence: Absence, replaced: tuple[Tensor | None, ...]
+    ) -> Removal:
+        """observations: (S, N, D). All absence models but zero need a GraphPolicy."""
+        n_steps, n_agents, _ = observations.shape
+        prepared, ones = policy.prepare(observations), torch.ones(n_steps, n_agents, n_agents)
+        full = tuple(_under(policy, prepared, ones, absence, each) for each in replaced)
+        return cls(policy, prepared, absence, replaced, full)
+
+    @torch.no_grad()
+    def change(self, mask: Tensor) -> NDArray[np.float64]:
+        """(..., S, N, N) in [0, 1] -> (..., S, N): d_i."""
+        changes = []
+        for full, each in zip(self.full, self.replaced, strict=True):
+            heard = _under(self.policy, self.prepared, mask, self.absence, each)
+            changes.append(prediction_change(full.action.numpy(), heard.action.numpy(), full.divisor))
+        return np.asarray(np.mean(changes, axis=0))
+
+
+def _under(
+    policy: Policy, prepared: Any, mask: Tensor, absence: Absence, stand_in: Tensor | None
+) -> ActionDistribution:
+    if isinstance(policy, GraphPolicy):
+        return step_under(policy, prepared, mask, absence, stand_in)[0]
+    return policy.decode(prepared, mask)

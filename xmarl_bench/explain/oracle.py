@@ -12,18 +12,23 @@ S is the number of timesteps, N agents, A action entries, R = 2^N rows.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from xmarl_bench.entry.schema import OracleKind
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import action_change
 from xmarl_bench.metrics import prediction_change, rows_within
 from xmarl_bench.policy import ActionDistribution, Policy, existing_edges
 
-MAX_AGENTS = 10
+MAX_AGENTS: Final = 10
+# Larger teams take minutes for a timestep: docs/scaling.md has the figures.
+MAX_SAMPLED: Final = 32
+MAX_SAMPLED_TOGETHER: Final = 16  # if rows do not act alone
 # Network rows decoded at once: the fastest of 250 to 64000 on one core, because larger batches do not fit the
 # processor's cache. A chunk has at least one timestep: 10240 rows at N = 10.
 DECODED_AT_ONCE = 8192
@@ -31,8 +36,24 @@ SOFT_STEPS = 6  # 30 steps gain a tenth more
 SOFT_STEP, SOFT_DECAY = 0.4, 0.65  # length of the first step in mask units, and factor from step to step
 
 
+def oracle_kind(policy: Policy, n_agents: int) -> OracleKind | None:
+    """How the oracle of this policy and team size is found; None if they have none."""
+    if why_not_enumerated(policy, n_agents) is None:
+        return "enumerated"
+    return "sampled" if why_no_oracle(policy, n_agents) is None else None
+
+
 def why_no_oracle(policy: Policy, n_agents: int) -> str | None:
-    """Why this policy and team size have no oracle; None if they have one."""
+    """Why this policy and team size have no oracle, not even a sampled one; None if they have one."""
+    most = MAX_SAMPLED if policy.row_wise else MAX_SAMPLED_TOGETHER
+    if n_agents <= most:
+        return None
+    layers = "one layer" if policy.row_wise else "several layers"
+    return f"an oracle is sampled for at most {most} agents with {layers}, got {n_agents}"
+
+
+def why_not_enumerated(policy: Policy, n_agents: int) -> str | None:
+    """Why the oracle cannot try all rows; None if it can."""
     if not policy.row_wise:
         return (
             "an oracle needs a single layer that passes messages, so that an action depends on its own row "
@@ -44,8 +65,8 @@ def why_no_oracle(policy: Policy, n_agents: int) -> str | None:
 
 
 def check_oracle(policy: Policy, n_agents: int) -> None:
-    """Raise InputError if this policy and team size have no oracle."""
-    reason = why_no_oracle(policy, n_agents)
+    """Raise InputError if the oracle cannot try all rows for this policy and team size."""
+    reason = why_not_enumerated(policy, n_agents)
     if reason is not None:
         raise InputError(f"{reason}: leave the oracle out, or choose another policy or team.")
 
@@ -155,6 +176,8 @@ def _ascend(policy: Policy, observations: Tensor, start: Tensor) -> Tensor:
                 action_change(full, policy.decode(prepared, each)) for each in (mask, 1.0 - mask)
             )
             value = dropped - kept  # (S, N)
+            if not policy.row_wise:  # a row changes what others get: masks are better or worse as a whole
+                value = value.mean(dim=-1, keepdim=True).expand_as(value)
             (gradient,) = torch.autograd.grad(value.sum(), mask)
         better = value > highest
         best = torch.where(better[..., None], mask, best)

@@ -64,8 +64,8 @@ def absences_agree(states: Iterable[States]) -> Floats:
     """
     found = []
     for each in states:
-        if set(each.messages) == set(Absence):
-            values = [shapley_values(each.messages[absence].delta) for absence in Absence]
+        if set(each.tables) == set(Absence):
+            values = [shapley_values(each.tables[absence].delta) for absence in Absence]
             found.append([[rank_correlation(one, other) for other in values] for one in values])
     return np.mean(found, axis=0) if found else np.full((len(Absence), len(Absence)), np.nan)
 

@@ -93,7 +93,7 @@ def trained_curves(
     measured: dict[tuple[Form, Absence, str], list[list[float]]] = {}
     with one_thread():
         for states, rng in states_of(policy, card, episodes=episodes, timesteps=timesteps, seed=seed):
-            for right, ranking in states.messages.items():
+            for right, ranking in states.tables.items():
                 mask = ranking_mask(shapley_values(ranking.delta))
                 for form in Form:
                     rows = _steps(states, mask, form, rng)

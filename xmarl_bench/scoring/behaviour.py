@@ -39,7 +39,7 @@ from xmarl_bench.metrics.table import OTHER_ABSENCES
 from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, existing_edges
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout.episodes import Episode, Floats, initial_state, play, with_actions_of
-from xmarl_bench.scoring.states import number
+from xmarl_bench.scoring.rankings import number
 
 BLOCK = 50  # episodes: the protocol's, in one batch
 SMALLEST_TEAM = 3  # smaller teams have no two messages to choose between

@@ -8,9 +8,20 @@ from dataclasses import dataclass, field
 import torch
 from xmarl_envs import TASKS
 
-from xmarl_bench.entry.aggregation import SANITY, Acted, cell_metrics, control_metrics
-from xmarl_bench.entry.schema import BehaviourRow, CellResult, ControlMetrics, Cost, EpisodeRow, SanityRow
+from xmarl_bench.entry.aggregation import SANITY, Acted, cell_metrics, control_metrics, sampling_error
+from xmarl_bench.entry.protocol import SAMPLED
+from xmarl_bench.entry.schema import (
+    BehaviourRow,
+    CellResult,
+    ControlMetrics,
+    Cost,
+    EpisodeRow,
+    OracleRecord,
+    SanityRow,
+)
 from xmarl_bench.explain.controls import INVERTED, RANDOM
+from xmarl_bench.explain.oracle import oracle_kind
+from xmarl_bench.explain.sampled_oracle import DRAWS
 from xmarl_bench.metrics.table import GAINS
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode, mean_metrics
@@ -18,9 +29,9 @@ from xmarl_bench.scoring.behaviour import Played
 from xmarl_bench.scoring.measure import Explained, Shared
 from xmarl_bench.scoring.not_measured import not_measured
 from xmarl_bench.scoring.pieces import Needs
+from xmarl_bench.scoring.rankings import number
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.results import Results
-from xmarl_bench.scoring.states import number
 
 # Cells whose controls stay in memory for the next entry: explainers of a policy come one after another.
 KEPT = 4
@@ -95,9 +106,18 @@ def cell_result(
         controls={**controls.of(request, cell, needed, shared, floor, reasons), INVERTED: inverted},
         behaviour_episodes=acted.zero,
         absence_behaviour_episodes=acted.others,
+        oracle=_oracle(request, cell, rows),
         episodes=rows,
     )
     return result, _cost(shared, explained, played + absences)
+
+
+def _oracle(request: Request, cell: Cell, rows: Sequence[EpisodeRow]) -> OracleRecord | None:
+    kind = oracle_kind(request.policy, cell.n_agents)
+    if kind == "sampled":
+        error = sampling_error(rows)
+        return OracleRecord(kind="sampled", orders=DRAWS, error=error, definition=SAMPLED)
+    return None if kind is None else OracleRecord(kind=kind)
 
 
 def total_cost(costs: Sequence[Cost]) -> Cost:

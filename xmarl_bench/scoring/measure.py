@@ -27,7 +27,8 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.rollout.cell import spaced_timesteps
 from xmarl_bench.rollout.episodes import Episode
-from xmarl_bench.scoring.states import States, number
+from xmarl_bench.scoring.rankings import number
+from xmarl_bench.scoring.states import States
 
 
 @dataclass(frozen=True)

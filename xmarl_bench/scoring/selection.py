@@ -37,7 +37,12 @@ class Installed:
 
 
 def select_policies(
-    names: Sequence[str], tasks: Sequence[str], agents: Sequence[str], *, trust_code: bool = False
+    names: Sequence[str],
+    tasks: Sequence[str],
+    agents: Sequence[str],
+    teams: Sequence[int] = (),
+    *,
+    trust_code: bool = False,
 ) -> list[tuple[Policy, PolicyCard, tuple[Cell, ...]]]:
     """The policies to run, each with its cells.
 
@@ -45,6 +50,8 @@ def select_policies(
     `trust_code`. `finished`: the same without checkpoints along training. The name of a family: the finished
     ones that belong to it. `default`: the best seed of each cell, of DEFAULT_FAMILY if the cell has one. A
     policy given by name, bundle or module:factory runs with every given team size, or its own for `all`.
+
+    teams: team sizes to run the chosen policies with, in place of those they were trained for.
     """
     sizes = _sizes(agents)
     for task in tasks:
@@ -77,7 +84,7 @@ def select_policies(
             raise InputError(
                 f"two policies are named {card.name!r} ({name} is one): rename one, or leave it out."
             )
-        cells = tuple(Cell(card.task, n) for n in (sizes or [card.n_agents]))
+        cells = tuple(Cell(card.task, n) for n in (dict.fromkeys(teams) or sizes or [card.n_agents]))
         if card.task not in wanted_tasks:
             check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # raises the reason
         for cell in cells:

@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 from xmarl_envs import TASKS
 
-from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER, SANITY
-from xmarl_bench.entry.protocol import ABSENCE_EPISODES, SANITY_EPISODES, definitions
+from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER, SANITY, sampling_error
+from xmarl_bench.entry.protocol import ABSENCE_EPISODES, SAMPLED, SANITY_EPISODES, definitions
 from xmarl_bench.entry.schema import (
     BudgetRow,
     CellResult,
@@ -132,7 +132,27 @@ def _cell_findings(entry: Entry, cell: CellResult) -> Iterator[str]:
     for k, row in enumerate(cell.episodes):
         for finding in _row_findings(entry, cell, row, k):
             yield f"episode {k}: {finding}"
+    yield from _oracle_findings(cell)
     yield from _control_findings(cell)
+
+
+def _oracle_findings(cell: CellResult) -> Iterator[str]:
+    """What an entry says of a sampled oracle must follow from its rows."""
+    found, stated = sampling_error(cell.episodes), None if cell.oracle is None else cell.oracle.error
+    same = found is stated or (found is not None and stated is not None and close(found, stated))
+    if not same:
+        yield f"oracle.error is {stated}, by the budgets of the rows it is {found}."
+    sampled = cell.oracle_kind == "sampled"
+    if sampled and cell.oracle is not None and cell.oracle.definition != SAMPLED:
+        yield "oracle.definition is not that of a sampled oracle."
+    for k, row in enumerate(cell.episodes):
+        for name in type(row).model_fields:
+            budget = getattr(row, name)
+            if isinstance(budget, BudgetRow) and (budget.random_error is not None) != (
+                sampled and budget.random is not None
+            ):
+                yield f"episode {k}: {name}.random_error contradicts an oracle that is {cell.oracle_kind}."
+                return
 
 
 def _row_findings(entry: Entry, cell: CellResult, row: EpisodeRow, k: int) -> Iterator[str]:
@@ -192,7 +212,7 @@ def _over_absences(row: EpisodeRow) -> Iterator[str]:
 
 def _budget_findings(row: EpisodeRow, prefix: str, budget: BudgetRow, senders: int) -> Iterator[str]:
     """Findings if curves do not fit the team size, or disagree with the two numbers computed from them."""
-    curves = [budget.explained, budget.random, budget.oracle]
+    curves = [budget.explained, budget.random, budget.oracle, budget.random_error]
     if any(curve is not None and len(curve) != max(senders - 1, 0) for curve in curves):
         yield f"{prefix}budget is not for 1 to {senders - 1} edges."
         return
@@ -225,7 +245,8 @@ def _control_findings(cell: CellResult) -> Iterator[str]:
         if value is not None and other is not None and abs(value - other) > ALIKE:
             yield f"controls.{name}: {metric} is {value}, but must be {other} for that mask."
     best = _mean(cell.controls[ORACLE].fid_delta) if ORACLE in cell.controls else None
-    for name in sorted({"all-ones", "zeros", "bernoulli", "self"} & set(cell.controls)):
+    binary = {"all-ones", "zeros", "bernoulli", "self"} if cell.oracle_kind == "enumerated" else {"all-ones"}
+    for name in sorted(binary & set(cell.controls)):
         value = _mean(cell.controls[name].fid_delta)
         if best is not None and value is not None and value > best + ALIKE:
             yield f"controls.{name}: fid_delta {value} is more than the oracle's, {best}."

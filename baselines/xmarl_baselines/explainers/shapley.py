@@ -33,7 +33,7 @@ from xmarl_baselines.explainers.gradient import NORMALISER
 from xmarl_bench.explain.effect import action_change, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
-from xmarl_bench.explain.oracle import change_table, why_no_oracle
+from xmarl_bench.explain.oracle import change_table, why_not_enumerated
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
 
@@ -90,7 +90,7 @@ def shapley_mask(policy: Policy, observations: Tensor, generator: torch.Generato
     """(S, N, D) -> (S, N, N)."""
     n_steps, n_agents, _ = observations.shape
     policy, seeds = frozen(policy), timestep_seeds(n_steps, generator)
-    exact = why_no_oracle(policy, n_agents) is None
+    exact = why_not_enumerated(policy, n_agents) is None
 
     def explain(steps: slice) -> Tensor:
         if exact:

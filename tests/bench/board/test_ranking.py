@@ -13,7 +13,8 @@ from tests.helpers.made_entries import made_board, made_entry
 from xmarl_bench.board import board_of
 from xmarl_bench.board.ranking import Floats, complete_part, places
 from xmarl_bench.board.tables import Json
-from xmarl_bench.entry.schema import Entry
+from xmarl_bench.entry.protocol import SAMPLED
+from xmarl_bench.entry.schema import Entry, OracleRecord
 from xmarl_bench.metrics.statistics import over_units
 
 
@@ -198,3 +199,57 @@ def test_a_ranking_is_computed_over_training_runs() -> None:
         "a": {"b": pytest.approx((6 / 9 + 1) / 2, abs=1e-6)},
         "b": {"a": pytest.approx((3 / 9 + 0) / 2, abs=1e-6)},
     }
+
+
+def test_a_sampled_oracle_is_a_table_and_a_ranking_of_its_own() -> None:
+    sampled = OracleRecord(kind="sampled", orders=8, error=0.02, definition=SAMPLED)
+    made = board(
+        [
+            made_entry(policy, explainer, level, n_agents=4, oracle=oracle)
+            for policy, oracle in (
+                ("shallow", None),
+                ("counted", OracleRecord(kind="enumerated")),
+                ("deep", sampled),
+            )
+            for explainer, level in (("attention", 0.8), ("guess", 0.2))
+        ]
+    )
+    tables = {table["oracle"]: [policy["name"] for policy in table["policies"]] for table in made["tables"]}
+    assert tables == {"enumerated": ["counted", "shallow"], "sampled": ["deep"]}
+    assert [policy["oracle_error"] for policy in made["tables"][1]["policies"]] == [0.02]
+    over = {
+        (each["oracle"], each["task"]): [p["name"] for p in each["policies"]] for each in made["rankings"]
+    }
+    for task in (None, "blind_navigation_v0"):
+        assert over["enumerated", task] == ["counted", "shallow"]
+        assert over["sampled", task] == ["deep"]
+    assert all(
+        row["rank"] is not None for each in made["rankings"] for row in each["rows"] if not row["control"]
+    )
+
+
+def test_a_policy_in_a_larger_team_is_ranked_in_that_cell_alone() -> None:
+    made = board(
+        [
+            made_entry("five", explainer, level, n_agents=n_agents, trained=5)
+            for n_agents in (5, 8)
+            for explainer, level in (("attention", 0.8), ("guess", 0.2))
+        ]
+    )
+    over = {each["n_agents"]: each["policies"] for each in made["rankings"]}
+    assert set(over) == {None, 5, 8}
+    assert (
+        over[None]
+        == over[5]
+        == [{"name": "five", "task": "blind_navigation_v0", "n_agents": 5, "trained_n_agents": 5}]
+    )
+    assert over[8] == [{"name": "five", "task": "blind_navigation_v0", "n_agents": 8, "trained_n_agents": 5}]
+
+
+def test_the_gate_holds_for_larger_teams_too() -> None:
+    made = board(
+        [made_entry("five", "attention", 0.8, n_agents=8, trained=5, success_gain=0.0, reward_gain=0.0)]
+    )
+    (table,) = made["tables"]
+    assert "messages are not shown to help" in table["policies"][0]["gate"]
+    assert made["rankings"] == []

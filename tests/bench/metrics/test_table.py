@@ -15,7 +15,7 @@ import xmarl_bench
 from xmarl_bench.entry.protocol import DEFINITIONS
 from xmarl_bench.entry.schema import EpisodeRow, ExplanationRow, Metrics, PolicyRecord
 from xmarl_bench.metrics.table import GAINS, METRICS, ORDER, SUCCESS, Direction, Group, by_name, names_of
-from xmarl_bench.scoring.states import number
+from xmarl_bench.scoring.rankings import number
 
 HARNESS = Path(str(xmarl_bench.__file__)).parent
 ROOT = HARNESS.parent

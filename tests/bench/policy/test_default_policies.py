@@ -83,5 +83,8 @@ def test_defaults_of_the_shipped_policies() -> None:
     chosen = select_policies(["default"], ["blind_discovery_v0"], ["3"])
     assert [(card.task, card.n_agents) for _, card, _ in chosen] == [("blind_discovery_v0", 3)] * 2
     assert [card.attention_entropy > 0 for _, card, _ in chosen] == [False, True]
+    deployed = select_policies(["default"], ["blind_discovery_v0"], ["3"], [8, 10, 8])
+    assert [card.name for _, card, _ in deployed] == [card.name for _, card, _ in chosen]
+    assert [[cell.n_agents for cell in cells] for _, _, cells in deployed] == [[8, 10]] * 2
     with pytest.raises(InputError, match="no policy is installed"):
         select_policies(["default"], ["blind_discovery_v0"], ["7"])

@@ -157,8 +157,8 @@ def test_metrics_that_are_not_measured_have_a_reason(make_bundle: MakeBundle) ->
         "smallest_message_fidelity", *behaviour
     }  # fmt: skip
     assert "needs 3 agents" in two["comm_budgeted_fidelity"]
-    many = reasons("random", 11, 0)
-    assert {name for name in many if "at most 10 agents, got 11" in many[name]} == {
+    many = reasons("random", 33, 0)
+    assert {name for name in many if "at most 32 agents with one layer, got 33" in many[name]} == {
         "budgeted_fidelity", *UNDER_ABSENCES, "message_fidelity", "smallest_message_fidelity",
     }  # fmt: skip
 

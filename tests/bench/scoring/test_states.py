@@ -15,6 +15,7 @@ from tests.helpers.policies import random_masks, random_observations, small_poli
 from xmarl_bench.explain import oracle
 from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.policy import ModulePolicy, Policy
+from xmarl_bench.scoring.enumerated import Enumerated
 from xmarl_bench.scoring.states import States
 
 
@@ -112,9 +113,9 @@ def test_binary_masks_get_the_same_fid_delta_from_table_and_forward() -> None:
     policy, observations = small_policy(6, 5), random_observations(30, 4, 6)
     states = states_of(policy, observations)
     assert states.oracle_mask is not None
-    assert states.all_edges is not None
+    assert isinstance(states.oracle, Enumerated)
     received = states.mask_metrics(states.oracle_mask).fid_delta
-    assert received == pytest.approx(states.all_edges.delta.max(axis=0).mean(), abs=1e-6)
+    assert received == pytest.approx(states.oracle.all_edges.delta.max(axis=0).mean(), abs=1e-6)
 
 
 def test_squeezing_a_ranking_raises_fid_delta_but_not_budgeted_fidelity() -> None:
@@ -146,17 +147,33 @@ def test_small_teams_have_little_to_rank(n_agents: int, ranked: tuple[str, ...])
         assert (getattr(metrics, f"{prefix}budgeted_fidelity") is not None) == (prefix in ranked)
 
 
-def test_without_a_table_fid_delta_at_k_comes_from_forwards(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_oracle_fid_delta_at_k_stands_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     policy, observations, masks = small_policy(6, 2), random_observations(9, 4, 6), random_masks(9, 4)
     table = states_of(policy, observations).mask_metrics(masks)
     monkeypatch.setattr(oracle, "MAX_AGENTS", 3)
-    forward = states_of(policy, observations).mask_metrics(masks)
+    monkeypatch.setattr(oracle, "MAX_SAMPLED", 3)
+    states = states_of(policy, observations)
+    forward = states.mask_metrics(masks)
     for prefix in ("", "comm_"):
         assert getattr(forward, f"{prefix}topk_fid_delta") == pytest.approx(
             getattr(table, f"{prefix}topk_fid_delta"), abs=1e-6
         )
         assert getattr(forward, f"{prefix}budgeted_fidelity") is None
     assert forward.fid_delta == table.fid_delta
+    assert states.oracle_mask is None
+
+
+def test_a_sampled_oracle_scores_as_the_enumerated_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All normalised metrics of one mask, with random@k estimated and oracle@k searched for."""
+    policy, observations = small_policy(6, 2), random_observations(40, 5, 6)
+    with torch.no_grad():
+        mask = policy.attention(observations)
+    enumerated = states_of(policy, observations).mask_metrics(mask)
+    monkeypatch.setattr(oracle, "MAX_AGENTS", 3)
+    sampled = states_of(policy, observations).mask_metrics(mask)
+    for name in ("budgeted_fidelity", *UNDER_ABSENCES, "message_fidelity"):
+        assert getattr(sampled, name) == pytest.approx(getattr(enumerated, name), abs=0.05), name
+        assert abs(getattr(enumerated, name)) > 0.1, name
 
 
 class TwoLayers(nn.Module):
@@ -170,17 +187,16 @@ class TwoLayers(nn.Module):
         return out
 
 
-def test_policies_of_several_layers_have_no_normalised_columns() -> None:
+def test_policies_of_several_layers_have_all_but_what_needs_coefficients() -> None:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         policy = ModulePolicy(TwoLayers(), obs_dim=6)
     states = states_of(policy, random_observations(5, 3, 6))
     metrics = states.mask_metrics(random_masks(5, 3))
     missing = {name for name, value in metrics if value is None}
-    assert missing == {
-        "budgeted_fidelity", *UNDER_ABSENCES, "message_fidelity", "smallest_message_fidelity",
-    }  # fmt: skip
-    assert states.oracle_mask is None
+    assert missing == {name for name in UNDER_ABSENCES if name != "comm_budgeted_fidelity"}
+    assert metrics.message_fidelity == metrics.comm_budgeted_fidelity
+    assert states.oracle_mask is not None
     entropy = states.policy_metrics().attention_entropy
     assert entropy is not None
     assert 0.0 < entropy <= math.log(3)

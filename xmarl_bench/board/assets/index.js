@@ -14,10 +14,13 @@ function fill(select, pairs) {
 
 const shortTask = (task) => task.replace(/^blind_/, "").replace(/_v\d+$/, "");
 const inScope = ({ table }) =>
-  table.protocol === $("protocol").value &&
+  table.protocol === $("protocol").value && table.oracle === $("oracle").value &&
   (!$("task").value || table.task === $("task").value) &&
   (!$("agents").value || String(table.n_agents) === $("agents").value);
-const policyLabel = (policy) => `${policy.name}, ${BOARD.tables[policy.table].n_agents} agents`;
+const policyLabel = (policy) => {
+  const n = BOARD.tables[policy.table].n_agents;
+  return `${policy.name}, ${n} agents${policy.trained_n_agents === n ? "" : ` (trained with ${policy.trained_n_agents})`}`;
+};
 
 /** Where a metric's bars begin and end: all its intervals, but never outside of what can be read. */
 const domains = Object.fromEntries(METRICS.map((name) => {
@@ -96,8 +99,8 @@ const ranking = new DataTable("#ranking", {
 
 /** The ranking of what is chosen above, if there is one. */
 function chosenRanking() {
-  const [protocol, task, agents] = ["protocol", "task", "agents"].map((id) => $(id).value);
-  return BOARD.rankings.find((each) => each.protocol === protocol &&
+  const [protocol, oracle, task, agents] = ["protocol", "oracle", "task", "agents"].map((id) => $(id).value);
+  return BOARD.rankings.find((each) => each.protocol === protocol && each.oracle === oracle &&
     (task || agents ? each.task === task && String(each.n_agents) === agents : each.task === null));
 }
 
@@ -128,7 +131,8 @@ function showPolicyNote() {
   const m = policy.metrics;
   const parts = [`attention-entropy weight ${policy.lambda}`, `success ${number(m.success_rate, 2)}`, `no agent collision ${number(m.no_agent_collision, 2)}`,
     m.no_object_collision === null ? null : `no wall contact ${number(m.no_object_collision, 2)}`, `makespan ${number(m.makespan, 0)}`,
-    `communication dependence ${number(m.communication_dependence)}`, `attention entropy ${number(m.attention_entropy, 2)}`];
+    `communication dependence ${number(m.communication_dependence)}`, `attention entropy ${number(m.attention_entropy, 2)}`,
+    policy.oracle_error === null ? null : `standard error of sampling at most ${number(policy.oracle_error, 3)}`];
   $("policy-note").replaceChildren(`${policy.name}: ${parts.filter(Boolean).join(", ")}.`,
     ...(policy.gate ? [element("strong", { class: "gate" }, ` Not ranked: ${policy.gate}.`)] : []));
 }
@@ -151,7 +155,7 @@ const SELECTION = {
   policy: ["Policy", (row) => row.policy.name, (value) => value],
   explainer: ["Explainer", (row) => row.explainer, (value) => value],
 };
-const scored = () => rows.filter((row) => row.id && row.table.protocol === $("protocol").value);
+const scored = () => rows.filter((row) => row.id && row.table.protocol === $("protocol").value && row.table.oracle === $("oracle").value);
 const chosen = (side) => scored().filter((row) =>
   Object.entries(SELECTION).every(([name, [, get]]) => [get(row), ""].includes($(`${side}-${name}`).value)));
 
@@ -205,7 +209,7 @@ function showDefinitions() {
     .flatMap(([name, meaning]) => [element("dt", {}, name), element("dd", {}, meaning)]));
 }
 
-const IN_ADDRESS = ["protocol", "task", "agents", "policy", "kind", "verification", "columns"];
+const IN_ADDRESS = ["protocol", "oracle", "task", "agents", "policy", "kind", "verification", "columns"];
 
 function writeAddress() {
   const wanted = new URLSearchParams();
@@ -238,6 +242,7 @@ function columnsChanged() {
 
 function start() {
   fill($("protocol"), unique(BOARD.tables.map(({ protocol }) => protocol)).map((key) => [key, describeProtocol(key)]));
+  fill($("oracle"), unique(BOARD.tables.map(({ oracle }) => oracle)).map((kind) => [kind, kind]));
   fill($("task"), [["", "all"], ...unique(BOARD.tables.map(({ task }) => task)).map((task) => [task, shortTask(task)])]);
   fill($("agents"), [["", "all"], ...unique(BOARD.tables.map((table) => table.n_agents)).sort(d3.ascending).map((n) => [String(n), String(n)])]);
   fill($("verification"), [["", "all"], ...unique(rows.map(({ verification }) => verification)).filter(Boolean).sort().map((status) => [status, status])]);
@@ -245,11 +250,11 @@ function start() {
   $("violin-metric").value = ORDER;
   makeSelections();
   const asked = new URLSearchParams(location.hash.slice(1));
-  for (const id of ["protocol", "task", "agents", "kind", "verification", "columns"]) if (asked.has(id)) $(id).value = asked.get(id);
+  for (const id of ["protocol", "oracle", "task", "agents", "kind", "verification", "columns"]) if (asked.has(id)) $(id).value = asked.get(id);
   scopeChanged();
   if (asked.has("policy")) { $("policy").value = asked.get("policy"); rowsChanged(); }
   columnsChanged();
-  for (const id of ["protocol", "task", "agents"]) $(id).addEventListener("change", () => { scopeChanged(); fillSelections(); showProfiles(); showBudget(); showViolins(); });
+  for (const id of ["protocol", "oracle", "task", "agents"]) $(id).addEventListener("change", () => { scopeChanged(); fillSelections(); showProfiles(); showBudget(); showViolins(); });
   for (const id of ["policy", "kind", "verification"]) $(id).addEventListener("change", rowsChanged);
   $("columns").addEventListener("change", columnsChanged);
   for (const id of ["budget-policy", "budget-kind"]) $(id).addEventListener("change", showBudget);

@@ -1,0 +1,206 @@
+"""The sampled oracle: for teams whose rows are too many to try, and networks whose rows do not act alone.
+
+With several layers F_i depends on the whole mask, so a choice is one of k edges from every row at once.
+With one layer and more agents than can be tried, masks are made in the same way, and each row counts for
+itself.
+
+random@k: the senders of every row are put in DRAWS random orders, drawn independently; the k first of each
+row make a mask, and random@k is the mean of its FidDelta over the orders. It has no bias, since all choices
+of k edges from every row have equal chances. Orders come in pairs, one the other's reverse; pairs are
+independent, and their spread gives the standard error.
+
+oracle@k: the best mask of k edges from every row that a search finds, an estimate of the maximum from
+below. It is the best of
+
+- the masks of the random orders;
+- the k highest of the policy's attention, where it attends;
+- a greedy chain that begins with no edge and adds to each row the edge that raises FidDelta most, k times;
+- a greedy chain that begins with all edges and takes from each row the edge whose loss raises FidDelta most.
+
+With one layer all rows of a mask are searched at once, and the best is taken of each row. With several
+layers the chains change one row after the other while all others stay (FidDelta is the team's), the best is
+taken of whole masks, and SWEEPS sweeps of coordinate ascent follow: row by row the best swap of two
+senders.
+
+Masks decoded for a timestep and a model, M senders in a row: 16 M for the random orders; about 2 M^2 for
+the chains, N times as many with several layers, and there at most 2 / 3 N M^3 for the sweeps.
+
+S is the number of timesteps, N agents, K budgets k = 1 .. M - 1 of M senders in a row: M = N, or N - 1
+where own edges are always kept. U is what the best is taken of: N rows, or 1 mask.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from xmarl_bench.explain.absence import Removal
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+DRAWS: Final = 8  # orders: four pairs
+SWEEPS: Final = 2
+
+
+def random_orders(n_steps: int, n_agents: int, rng: np.random.Generator) -> Floats:
+    """(DRAWS, S, N, N) in [0, 1]: the lower, the earlier in its order. Pairs follow one another."""
+    drawn = rng.random((DRAWS // 2, n_steps, n_agents, n_agents))
+    return np.stack([drawn, 1.0 - drawn], axis=1).reshape(DRAWS, n_steps, n_agents, n_agents)
+
+
+def ranks(value: Floats, orders: Floats, senders: Bools) -> NDArray[np.int64]:
+    """(S, N, N), (D, S, N, N) -> (D, S, N, N): the place of each edge in its row, 0 the highest value.
+
+    Equal values stand in the order of each draw, edges that are not among `senders` (S, N, N) at the end.
+    """
+    falling = np.broadcast_to(np.where(senders, -value, np.inf), orders.shape)
+    by_place = np.lexsort((orders, falling), axis=-1)  # the last key is the first to count
+    return np.argsort(by_place, axis=-1)
+
+
+def standard_error(delta: Floats, *, row_wise: bool) -> Floats:
+    """(DRAWS, K, S, N) FidDelta of the random masks -> (K,): the standard error of their mean.
+
+    Pairs of orders are independent, of each row where rows act alone and else of each timestep; so are those
+    of different rows, or timesteps.
+    """
+    units = delta if row_wise else delta.mean(axis=-1, keepdims=True)
+    pairs = units.reshape(len(units) // 2, 2, *units.shape[1:]).mean(axis=1)  # (P, K, S, U)
+    variance = pairs.var(axis=0, ddof=1) / len(pairs)
+    n_units = units.shape[2] * units.shape[3]
+    return np.asarray(np.sqrt(variance.sum(axis=(1, 2))) / n_units)
+
+
+@dataclass(frozen=True)
+class Edges:
+    """What is ranked in a stretch of timesteps: which senders of each row, and how many budgets there are."""
+
+    senders: Bools  # (S, N, N)
+    always: Bools  # (N, N): kept in subgraph and complement alike
+    n_budgets: int
+
+    def at(self, steps: slice) -> Edges:
+        return Edges(self.senders[steps], self.always, self.n_budgets)
+
+    @classmethod
+    def of(cls, existing: Bools, *, own_kept: bool) -> Edges:
+        """existing: (S, N, N), the graph's edges."""
+        n_agents = existing.shape[-1]
+        always = np.eye(n_agents, dtype=bool) & own_kept
+        return cls(existing & ~always, always, max(n_agents - 1 - own_kept, 0))
+
+    def fid_delta(self, removal: Removal, kept: Bools) -> Floats:
+        """(C, S, N, N) -> (C, S, N): d_i of the complement less d_i of what is kept."""
+        if not len(kept):
+            return np.zeros(kept.shape[:-1])
+        sides = np.stack([kept | self.always, ~kept | self.always])
+        subgraph, complement = removal.change(torch.from_numpy(sides).float())
+        return np.asarray(complement - subgraph)
+
+
+def kept_by(places: NDArray[np.int64], edges: Edges) -> Bools:
+    """(S, N, N) places -> (K, S, N, N): the k first of each row's own senders."""
+    k = np.arange(1, edges.n_budgets + 1)[:, None, None, None]
+    return np.asarray((places < k) & edges.senders)
+
+
+@dataclass
+class Best:
+    """The best masks of each budget that were met, and their FidDelta."""
+
+    row_wise: bool
+    value: Floats  # (K, S, U)
+    kept: Bools  # (K, S, N, N)
+
+    @classmethod
+    def none(cls, edges: Edges, *, row_wise: bool) -> Best:
+        n_steps, n_agents, _ = edges.senders.shape
+        return cls(
+            row_wise,
+            np.full((edges.n_budgets, n_steps, n_agents if row_wise else 1), -np.inf),
+            np.zeros((edges.n_budgets, *edges.senders.shape), dtype=bool),
+        )
+
+    def worth(self, delta: Floats) -> Floats:
+        """(..., S, N) FidDelta of receivers -> (..., S, U)."""
+        return delta if self.row_wise else delta.mean(axis=-1, keepdims=True)
+
+    def take(self, kept: Bools, delta: Floats) -> None:
+        """(K, S, N, N) masks with their (K, S, N) FidDelta: keeps what is better than before."""
+        value = self.worth(delta)
+        better = ~(value <= self.value)  # what is not a number stays seen
+        self.value = np.where(better, value, self.value)
+        self.kept = np.where(better[..., None], kept, self.kept)
+
+    def of_all(self, removal: Removal, edges: Edges) -> Bools:
+        """(S, N, N): the best of any budget, and of keeping everything."""
+        everything = edges.senders[None]
+        value = np.concatenate([self.value, self.worth(edges.fid_delta(removal, everything))])
+        kept = np.concatenate([self.kept, everything])
+        best = value.argmax(axis=0)  # (S, U)
+        return np.asarray(np.take_along_axis(kept, best[None, ..., None], axis=0)[0])
+
+
+def greedy(removal: Removal, edges: Edges, best: Best, *, rising: bool) -> None:
+    """Hands `best` the masks of a chain, see above. rising: it begins with no edge, else with all."""
+    senders = edges.senders
+    n_steps, n_agents, _ = senders.shape
+    degree = senders.sum(axis=-1)
+    kept = np.zeros_like(senders) if rising else senders.copy()
+    found = np.empty((edges.n_budgets, *kept.shape), dtype=bool)
+    step = np.arange(n_steps)[:, None]
+    groups = [np.arange(n_agents)] if best.row_wise else list(np.arange(n_agents)[:, None])
+    for k in range(1, edges.n_budgets + 1) if rising else range(edges.n_budgets, 0, -1):
+        for rows in groups:
+            free = senders & ~kept if rising else kept
+            moving = (kept.sum(axis=-1) != np.minimum(k, degree))[:, rows]  # (S, rows)
+            free = free[:, rows] & moving[..., None]
+            count = int(free.sum(axis=-1).max())
+            if count == 0:
+                continue
+            choice = np.argsort(~free, axis=-1, kind="stable")[..., :count]  # (S, rows, C) senders
+            tried = np.repeat(kept[None], count, axis=0)
+            for c in range(count):
+                valid = np.take_along_axis(free, choice[..., c, None], axis=-1)[..., 0]
+                tried[c, step, rows, choice[..., c]] ^= valid
+            worth = best.worth(edges.fid_delta(removal, tried))  # (C, S, U)
+            if best.row_wise:
+                worth = worth[..., rows]
+            there = np.moveaxis(np.take_along_axis(free, choice, axis=-1), -1, 0)  # (C, S, rows)
+            chosen = np.where(there, worth, -np.inf).argmax(axis=0)  # (S, rows)
+            moved = np.take_along_axis(choice, chosen[..., None], axis=-1)[..., 0]
+            kept[step, rows, moved] ^= moving
+        found[k - 1] = kept
+    best.take(found, edges.fid_delta(removal, found))
+
+
+def ascend(removal: Removal, edges: Edges, best: Best) -> None:
+    """Coordinate ascent over the rows of the best masks, where the best is taken of whole masks.
+
+    Each row in turn swaps the kept edge and the dropped one that raise FidDelta most, SWEEPS times over all.
+    """
+    n_steps, n_agents, _ = edges.senders.shape
+    step = np.arange(n_steps)
+    for k, kept in enumerate(best.kept):
+        kept, value = kept.copy(), best.value[k, :, 0]
+        for i in np.tile(np.arange(n_agents), SWEEPS):
+            inside, outside = kept[:, i], (edges.senders & ~kept)[:, i]  # (S, N)
+            swaps = inside[:, :, None] & outside[:, None, :]
+            pairs = np.argwhere(swaps.any(axis=0))  # (C, 2): of any timestep
+            if not len(pairs):
+                continue
+            tried = np.repeat(kept[None], len(pairs), axis=0)
+            for c, pair in enumerate(pairs):
+                there = swaps[:, pair[0], pair[1]]
+                tried[c, :, i, pair] ^= there
+            worth = best.worth(edges.fid_delta(removal, tried))[..., 0]  # (C, S)
+            chosen = worth.argmax(axis=0)
+            better = ~(worth[chosen, step] <= value)
+            value = np.where(better, worth[chosen, step], value)
+            kept = np.where(better[:, None, None], tried[chosen, step], kept)
+        best.kept[k], best.value[k, :, 0] = kept, value

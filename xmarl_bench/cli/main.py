@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import typer
 
 from xmarl_bench.cli.board import board
@@ -14,6 +12,7 @@ from xmarl_bench.cli.convert import convert
 from xmarl_bench.cli.evaluate import evaluate
 from xmarl_bench.cli.list import list_
 from xmarl_bench.cli.new import new
+from xmarl_bench.cli.program import Version, run
 from xmarl_bench.cli.render import render
 from xmarl_bench.cli.score import score
 from xmarl_bench.cli.status import status
@@ -21,12 +20,9 @@ from xmarl_bench.cli.study import study
 from xmarl_bench.cli.submit import submit
 from xmarl_bench.cli.validate import validate
 from xmarl_bench.cli.verify import verify
-from xmarl_bench.errors import InputError
-from xmarl_bench.parallel.program_end import end_workers
 
 app = typer.Typer(
     name="xmarl-bench",
-    help="Scores explainers of multi-agent graph-attention policies.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -48,17 +44,13 @@ app.add_typer(cache, name="cache")
 app.add_typer(check)
 
 
+@app.callback()
+def options(version: Version = False) -> None:
+    """Scores explainers of multi-agent graph-attention policies."""
+
+
 def main() -> None:
-    try:
-        app()
-    except InputError as error:
-        print(f"xmarl-bench: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("xmarl-bench: stopped; the next run continues from what is finished.", file=sys.stderr)
-        raise SystemExit(130) from None
-    finally:
-        end_workers()
+    run("xmarl-bench", app, "stopped; the next run continues from what is finished.")
 
 
 if __name__ == "__main__":

@@ -22,10 +22,11 @@ from xmarl_baselines.training.own_process import train_in_own_process
 from xmarl_baselines.training.recipes import recipe_for
 from xmarl_baselines.training.trainer import Report, Run, train
 from xmarl_bench.cli.options import Address, Backend
+from xmarl_bench.cli.program import Version
+from xmarl_bench.cli.program import run as run_program
 from xmarl_bench.cli.tables import performance_rows, print_rows
 from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.fan_out import Failure, fan_out
-from xmarl_bench.parallel.program_end import end_workers
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.policy.untrusted import CARD
@@ -89,6 +90,7 @@ def command(
     ] = None,
     resume: Annotated[bool, typer.Option(help="continue an interrupted run")] = False,
     episodes: Annotated[int, typer.Option(min=1, help="episodes of the evaluation at the end")] = EPISODES,
+    version: Version = False,
 ) -> None:
     """Train one graph-attention policy and write it as a bundle that `xmarl-bench score --policy` takes."""
     if (task is None) == (reproduce is None):
@@ -249,14 +251,8 @@ def _progress(run: Run) -> Iterator[Report]:
 
 
 def main() -> None:
-    """Console entry point. Invalid input ends it with one sentence and exit code 2."""
-    try:
-        app()
-    except InputError as error:
-        print(f"xmarl-train: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
-    finally:
-        end_workers()
+    """Console entry point."""
+    run_program("xmarl-train", app, "stopped. Run the same command again to continue.")
 
 
 if __name__ == "__main__":

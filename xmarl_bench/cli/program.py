@@ -1,0 +1,99 @@
+"""Runs a command line as a program. Invalid input and failed reads and writes end it with one sentence."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Annotated
+
+import typer
+
+from xmarl_bench.errors import InputError
+from xmarl_bench.origin.installed import package_version
+from xmarl_bench.parallel.program_end import end_workers
+
+
+def run(name: str, app: Callable[[], object], interrupted: str) -> None:
+    """Run `app` with the arguments of this process; returns or raises SystemExit.
+
+    Exit code 2 for invalid input and for a file or an output that cannot be read or written, 1 for a closed
+    pipe, 130 after an interrupt.
+    """
+    try:
+        _check_arguments(sys.argv[1:])
+        if isinstance(sys.stdout, io.TextIOWrapper):  # prints every file name, as stderr does
+            sys.stdout.reconfigure(errors="backslashreplace")
+        try:
+            app()
+        finally:
+            _flush()
+    except InputError as error:
+        _end(f"{name}: {error}", 2)
+    except KeyboardInterrupt:
+        _end(f"{name}: {interrupted}", 130)
+    except OSError as error:
+        if error.errno == errno.EPIPE:  # the reader has what it wanted, as `| head -1` has
+            _end(None, 1)
+        _end(f"{name}: {_what_failed(error)}", 2)
+    finally:
+        end_workers()
+
+
+def _check_arguments(arguments: list[str]) -> None:
+    """Raise InputError for an argument that is not text: entries and messages could not hold it."""
+    for argument in arguments:
+        try:
+            argument.encode()
+        except UnicodeEncodeError:
+            raise InputError(
+                f"argument {os.fsencode(argument)!r} is not valid {sys.getfilesystemencoding()}: rename the "
+                f"file or folder."
+            ) from None
+
+
+def _flush() -> None:
+    """Write what is buffered, so that a full disk or a closed pipe is noticed here and not at exit."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:
+        _discard_output()
+        raise
+
+
+def _discard_output() -> None:
+    """Send what is still buffered nowhere: Python would fail again on it at exit."""
+    with suppress(OSError, ValueError):  # an output without a file descriptor
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
+def _what_failed(error: OSError) -> str:
+    why = error.strerror or str(error) or type(error).__name__
+    if error.filename is None:
+        return f"the output cannot be written ({why}): free disk space or write elsewhere."
+    return f"{error.filename} cannot be used ({why}): give another file or folder, or change its permissions."
+
+
+def _end(message: str | None, code: int) -> None:
+    if message is not None:
+        with suppress(OSError):
+            print(message, file=sys.stderr, flush=True)
+    raise SystemExit(code) from None
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"xmarl-bench {package_version('xmarl-bench') or 'unknown'}")
+        raise typer.Exit
+
+
+Version = Annotated[
+    bool,
+    typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
+]

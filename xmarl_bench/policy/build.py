@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 from xmarl_bench.errors import InputError
@@ -12,6 +13,7 @@ from xmarl_bench.policy.module import ModulePolicy
 from xmarl_bench.policy.network import GraphPolicy
 from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import misfit
+from xmarl_bench.policy.wrapped import plain_name, unwrapped
 from xmarl_bench.reproducible import seeded
 
 LAYER = "layers.0."  # prefix in LayeredNetwork of the layer that GraphPolicy calls `gat.`
@@ -78,10 +80,33 @@ def untrained_policy(
         return build_policy(architecture)
 
 
-def weights_of(policy: GraphPolicy | LayeredPolicy) -> dict[str, Tensor]:
-    """The tensors of a policy that `build_policy` made, with the names of `weight_shapes`."""
-    module: nn.Module = policy.network if isinstance(policy, LayeredPolicy) else policy
-    return {name: tensor.detach() for name, tensor in module.state_dict().items()}
+def weights_of(policy: nn.Module) -> dict[str, Tensor]:
+    """The tensors of a policy that `build_policy` made, in float32, with the names of `weight_shapes`.
+
+    The policy may be wrapped (see xmarl_bench.policy.wrapped), on any device and in any precision. Raises
+    InputError for another network, and if tensors were added or renamed, or are not finite.
+    """
+    network = closed_network(policy)
+    module: nn.Module = network.network if isinstance(network, LayeredPolicy) else network
+    state = {plain_name(name): tensor for name, tensor in module.state_dict().items()}
+    _check_shapes(weight_shapes(network.architecture), state)
+    for name, tensor in state.items():
+        if tensor.is_meta or not tensor.is_floating_point() or not bool(torch.isfinite(tensor).all()):
+            raise InputError(
+                f"tensor {name!r} of the policy does not hold finite floating-point numbers: train it again."
+            )
+    return {name: tensor.detach().to("cpu", torch.float32).contiguous() for name, tensor in state.items()}
+
+
+def closed_network(policy: nn.Module) -> GraphPolicy | LayeredPolicy:
+    """The policy without its wrappers. Raises InputError if `build_policy` does not make such networks."""
+    network = unwrapped(policy)
+    if not isinstance(network, GraphPolicy | LayeredPolicy):
+        raise InputError(
+            f"a bundle holds networks of build_policy, got {type(network).__name__}: build one, or bring the "
+            f"network as code, in a PolicyModule."
+        )
+    return network
 
 
 def _check_shapes(expected: dict[str, tuple[int, ...]], weights: dict[str, Tensor]) -> None:

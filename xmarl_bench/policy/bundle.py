@@ -31,6 +31,8 @@ from xmarl_bench.records.files import write_atomically
 from xmarl_bench.records.strict_json import first_error, parse_json, shown
 
 if TYPE_CHECKING:
+    from torch import nn
+
     from xmarl_bench.policy.build import LayeredPolicy
     from xmarl_bench.policy.network import GraphPolicy
 
@@ -60,20 +62,33 @@ class PolicyCard(BaseModel):
     performance: dict[str, Any] = Field(default_factory=dict, description="task metrics, as measured then")
 
 
-def save_policy(folder: Path, policy: GraphPolicy | LayeredPolicy, **card: Any) -> PolicyCard:
-    """Write weights and card into `folder`, which is created if missing. Each file is written atomically."""
+def save_policy(folder: Path, policy: nn.Module, **card: Any) -> PolicyCard:
+    """Write weights and card into `folder`, which is created if missing. Each file is written atomically.
+
+    policy: a network of `build_policy`; also compiled, in DataParallel, on another device or in another
+        precision, because weights are written as float32. Raises InputError for other networks.
+    """
+    record, weights = packed(policy, **card)
+    write_bundle(folder, record, weights)
+    return record
+
+
+def packed(policy: nn.Module, **card: Any) -> tuple[PolicyCard, bytes]:
+    """The card and the weights that `save_policy` writes."""
     from safetensors.torch import save
 
-    from xmarl_bench.policy.build import weights_of
+    from xmarl_bench.policy.build import closed_network, weights_of
 
-    weights = save({key: tensor.contiguous() for key, tensor in weights_of(policy).items()})
-    record = PolicyCard(
-        architecture=policy.architecture, weights_sha256=hashlib.sha256(weights).hexdigest(), **card
-    )
-    folder.mkdir(parents=True, exist_ok=True)
+    weights = save(weights_of(policy))
+    architecture = closed_network(policy).architecture
+    return PolicyCard(
+        architecture=architecture, weights_sha256=hashlib.sha256(weights).hexdigest(), **card
+    ), weights
+
+
+def write_bundle(folder: Path, card: PolicyCard, weights: bytes) -> None:
     write_atomically(folder / WEIGHTS, weights)
-    write_atomically(folder / CARD, (record.model_dump_json(indent=2) + "\n").encode())
-    return record
+    write_atomically(folder / CARD, (card.model_dump_json(indent=2) + "\n").encode())
 
 
 def load_card(bundle: Path) -> PolicyCard:

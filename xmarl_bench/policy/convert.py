@@ -7,7 +7,8 @@ dict, and its `data` holds the architecture as plain JSON; its pickles are never
 A key map renames tensors. It maps a prefix of their names to a new prefix, or to null for tensors to drop;
 the longest matching prefix counts. New names are those of `weight_shapes`: `encoder.<k>.*`, `layers.<k>.*`
 (with torch_geometric's names), `memory.*` (torch's) and `decoder.<k>.*`, or `gat.*` for the one layer of an
-`Architecture`. An actor of TorchRL or BenchMARL is a `LayeredArchitecture` whose `scale` is "torchrl".
+`Architecture`. Names that are ours but for one prefix need no map. An actor of TorchRL or BenchMARL is a
+`LayeredArchitecture` whose `scale` is "torchrl".
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import Architecture, BundledArchitecture, LayeredArchitecture
 from xmarl_bench.policy.untrusted import read_file
+from xmarl_bench.policy.wrapped import plain_name
 from xmarl_bench.records.strict_json import first_error, parse_json, shown
 
 MAX_BYTES = 512 * 1024 * 1024  # of a whole checkpoint, with critic and optimiser
@@ -135,6 +137,38 @@ def rename(tensors: Mapping[str, Tensor], key_map: KeyMap) -> dict[str, Tensor]:
     return renamed
 
 
+def recognised(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Tensor]:
+    """The tensors of `shapes`, found without a key map: their names may all begin with one prefix.
+
+    Parts of names that torch's wrappers add do not count (see xmarl_bench.policy.wrapped). Tensors without
+    the prefix, such as a critic's, are dropped. Raises InputError if tensors are missing, if others have the
+    prefix too, and if several prefixes fit.
+    """
+    plain = {plain_name(name): tensor for name, tensor in tensors.items()}
+    if len(plain) < len(tensors):
+        raise InputError("the file holds two networks with the same names: choose one with --key-map.")
+    prefixes = {
+        name.removesuffix(ours) for name in plain for ours in shapes if f".{name}".endswith(f".{ours}")
+    }
+    held = {prefix: sum(prefix + ours in plain for ours in shapes) for prefix in sorted(prefixes)} or {"": 0}
+    prefix = max(held, key=lambda each: held[each])
+    whole = [each for each in held if held[each] == len(shapes)]
+    if len(whole) > 1:
+        raise InputError(f"networks {', '.join(map(shown, whole))} all fit: choose one with --key-map.")
+    others = [name for name in plain if name.startswith(prefix) and name.removeprefix(prefix) not in shapes]
+    if not whole:
+        missing = [f"{ours} {shape}" for ours, shape in shapes.items() if prefix + ours not in plain]
+        raise InputError(
+            f"the file lacks {len(missing)} of {len(shapes)} tensors of the architecture, {_some(missing)}; "
+            f"it holds {_some(others) or 'no others'}: rename them with --key-map."
+        )
+    if others:
+        raise InputError(
+            f"the architecture has no tensor {_some(others)}: correct it, or map them to null with --key-map."
+        )
+    return rename({ours: plain[prefix + ours] for ours in shapes}, {"": ""})
+
+
 def dense(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Tensor]:
     """Tensors with the expected shape as copies in float32, the others unchanged.
 
@@ -188,6 +222,11 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
     if len(data) > max_bytes:
         raise InputError(f"{name} of the zip is larger than {max_bytes} bytes: give a smaller checkpoint.")
     return data
+
+
+def _some(names: list[str], most: int = 8) -> str:
+    listed = ", ".join(shown(name).strip("'") for name in names[:most])
+    return f"{listed} and {len(names) - most} more" if len(names) > most else listed
 
 
 def _tuples(record: dict[str, Any]) -> dict[str, Any]:

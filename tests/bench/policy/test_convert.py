@@ -20,7 +20,7 @@ from xmarl_baselines.training.trainer import Run, build
 
 from tests.bench.policy.test_hostile_bundles import RAN, Payload
 from tests.bench.policy.test_layers import GAT2, random_policy, record
-from tests.conftest import RunCli
+from tests.conftest import Ran, RunCli
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy, LayeredArchitecture, complete_graph, load_policy
@@ -135,6 +135,81 @@ def test_an_actor_of_torchrl(tmp_path: Path, run_cli: RunCli) -> None:
         ours = policy.distribution(x)
     torch.testing.assert_close(ours.loc[0], loc, rtol=0, atol=1e-5)
     torch.testing.assert_close(ours.scale[0], scale, rtol=0, atol=1e-5)
+
+
+WRAPPED = {
+    "compiled": "_orig_mod.{}",
+    "in DataParallel": "module.{}",
+    "both": "module._orig_mod.{}",
+    "in a checkpoint": "state_dict.actor.{}",
+}
+
+
+def convert(run_cli: RunCli, tmp_path: Path, tensors: object, architecture: Any, *more: object) -> Ran:
+    torch.save(tensors, tmp_path / "model.pt")
+    record = write(tmp_path / "a.json", architecture.model_dump())
+    return run_cli(
+        "convert", tmp_path / "model.pt", "--out", tmp_path / "mine", *TASK, "--architecture", record, *more
+    )
+
+
+@pytest.mark.parametrize("form", WRAPPED.values(), ids=WRAPPED)
+def test_prefixes_are_recognised(form: str, tmp_path: Path, run_cli: RunCli) -> None:
+    weights = weights_of(random_policy(record(GAT2)))
+    renamed = {form.format(name): tensor for name, tensor in weights.items()}
+    critic = {"critic.0.weight": torch.ones(1, 6)} if "actor" in form else {}
+    ran = convert(run_cli, tmp_path, renamed | critic, record(GAT2))
+    assert ran.code == 0, ran.err
+    assert f"of {len(weights)} tensors, {len(critic)} dropped" in ran.out
+    loaded = weights_of(load_policy(tmp_path / "mine")[0])
+    assert all(torch.equal(loaded[name], tensor) for name, tensor in weights.items())
+
+
+def test_a_compiled_part_is_recognised(tmp_path: Path, run_cli: RunCli) -> None:
+    policy = small_policy(6, 2)
+    weights = {name.replace("gat.", "gat._orig_mod."): t for name, t in policy.state_dict().items()}
+    assert any("_orig_mod" in name for name in weights)
+    assert convert(run_cli, tmp_path, weights, policy.architecture).code == 0
+
+
+def test_without_a_key_map_the_expected_tensors_are_named(tmp_path: Path, run_cli: RunCli) -> None:
+    weights = weights_of(random_policy(record(GAT2)))
+    other = {name.replace("layers.0", "net.conv"): tensor for name, tensor in weights.items()}
+    ran = convert(run_cli, tmp_path, other, record(GAT2))
+    assert ran.code == 2
+    for name in ("layers.0.att_src (1, ", "net.conv.att_src", "--key-map"):
+        assert name in ran.err
+    ran = convert(run_cli, tmp_path, weights | {"layers.9.bias": torch.ones(2)}, record(GAT2))
+    assert ran.code == 2
+    assert "has no tensor layers.9.bias" in ran.err
+    two = {f"{net}.{name}": tensor for net in ("actor", "target") for name, tensor in weights.items()}
+    ran = convert(run_cli, tmp_path, two, record(GAT2))
+    assert ran.code == 2
+    assert "'actor.', 'target.' all fit" in ran.err
+    assert not (tmp_path / "mine").exists()
+    listed = run_cli("convert", tmp_path / "model.pt", "--architecture", tmp_path / "a.json").out
+    assert listed.count("layers.0.att_src") == 3  # of two networks, and the expected one
+
+
+def test_a_bundle_that_its_task_cannot_take_is_refused(tmp_path: Path, run_cli: RunCli) -> None:
+    weights = weights_of(random_policy(record(GAT2)))
+    for more, said in (
+        (["--task", "blind_passage_v0"], "takes observations of 6 entries, blind_passage_v0 gives 8"),
+        (["--agents", 65], "blind_navigation_v0 takes 1 to 64 agents, got 65"),
+    ):
+        ran = convert(run_cli, tmp_path, weights, record(GAT2), *more)
+        assert ran.code == 2
+        assert said in ran.err
+        assert not (tmp_path / "mine").exists()
+
+
+def test_a_folder_that_exists_is_kept(tmp_path: Path, run_cli: RunCli) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "policy.json").write_text("earlier")
+    ran = convert(run_cli, tmp_path, weights_of(random_policy(record(GAT2))), record(GAT2))
+    assert ran.code == 2
+    assert f"{tmp_path / 'mine'} already exists" in ran.err
+    assert (tmp_path / "mine" / "policy.json").read_text() == "earlier"
 
 
 def hostile(kind: str, path: Path) -> Path:

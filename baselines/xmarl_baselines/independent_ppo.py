@@ -43,7 +43,7 @@ class IndependentPolicy(Policy):
         # Only the layers: SB3's policy keeps its last distribution and therefore cannot be copied.
         self.mean = nn.Sequential(model.policy.mlp_extractor.policy_net, model.policy.action_net)
 
-    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+    def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
         return self.distribution(x).action
 
     def prepare(self, observation: Tensor) -> Tensor:

@@ -35,10 +35,12 @@ class OwnKept(Policy):
     def row_wise(self) -> bool:
         return self.policy.row_wise
 
-    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) -> (n, A)."""
-        action: Tensor = self.policy(x, edge_index)
-        return action
+    def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
+        """(n, D), (2, edges) -> (n, A): F of the mask with own edges at 1."""
+        if weight is not None:
+            sender, receiver = edge_index
+            weight = torch.where(sender == receiver, 1.0, weight)
+        return self.policy.act(x, edge_index, weight)
 
     def prepare(self, observation: Tensor) -> Any:
         """(S, N, D) -> input of `decode`."""

@@ -36,10 +36,9 @@ class BlackBox(Policy):
 
             return answer
 
-        def forward(x: Tensor, edge_index: Tensor) -> Tensor:
+        def act(x: Tensor, edge_index: Tensor, weight: Tensor | None) -> Tensor:
             with torch.no_grad():
-                action: Tensor = policy(x, edge_index)
-            return action
+                return policy.act(x, edge_index, weight)
 
         def attended(observation: Tensor) -> Tensor:
             if not attention:
@@ -49,17 +48,17 @@ class BlackBox(Policy):
             with torch.no_grad():
                 return policy.attention(observation)
 
-        self._row_wise, self._prepare, self._forward, self._attended = (
-            policy.row_wise, prepare, forward, attended,
+        self._row_wise, self._prepare, self._act, self._attended = (
+            policy.row_wise, prepare, act, attended,
         )  # fmt: skip
 
     @property
     def row_wise(self) -> bool:
         return self._row_wise
 
-    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) -> (n, A): F(1), without gradient."""
-        return self._forward(x, edge_index)
+    def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
+        """(n, D), (2, edges) -> (n, A): F(m), without gradient."""
+        return self._act(x, edge_index, weight)
 
     def prepare(self, observation: Tensor) -> Answer:
         """(S, N, D) -> a function that answers for these observations."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from xmarl_bench.policy.distribution import ActionDistribution
+from xmarl_bench.policy.edge_weights import checked_weights
 from xmarl_bench.policy.graph import CompleteGraph, Graph, complete_graph, edge_index_of
 
 
@@ -35,9 +36,29 @@ class Policy(nn.Module, ABC):
     def row_wise(self) -> bool:
         """Whether F_i depends on row i of the mask only, as with a single message-passing layer."""
 
+    def forward(
+        self,
+        x: Tensor,
+        edge_index: Tensor,
+        edge_weight: Tensor | None = None,
+        batch: Tensor | None = None,
+        *,
+        edge_attr: Tensor | None = None,
+    ) -> Tensor:
+        """(n, D), (2, edges) -> (n, A): F(m) as torch_geometric's models are called.
+
+        edge_weight: (edges,) or (edges, 1), m on each edge, also under the name edge_attr; None: ones.
+        batch: (n,) the number of each agent's team, where n agents are several teams. An action depends on
+        the agent's own team, so it is only checked. Raises InputError as `checked_weights` does.
+        """
+        return self.act(x, edge_index, checked_weights(edge_index, len(x), edge_weight, edge_attr, batch))
+
     @abstractmethod
-    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) -> (n, A): F(1), by PyG's message passing on any graph."""
+    def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
+        """(n, D), (2, edges) -> (n, A): F(m), by PyG's message passing on any graph.
+
+        weight: (edges,), m on each edge, each of which is listed once; None: ones.
+        """
 
     @abstractmethod
     def prepare(self, observation: Tensor) -> Any:

@@ -143,10 +143,11 @@ def ends_of(layer: MessagePassing, edge_index: Tensor) -> tuple[Tensor, Tensor]:
     return sender, receiver
 
 
-def row_major(edge_index: Tensor, n_nodes: int) -> Tensor:
-    """(2, edges) in any order -> sorted by receiver, then sender: the order of our mask."""
+def row_major(edge_index: Tensor, n_nodes: int, weight: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+    """(2, edges) and weights (edges,), both sorted by receiver, then sender: the order of our mask."""
     sender, receiver = edge_index
-    return edge_index[:, (receiver * n_nodes + sender).argsort()]
+    order = (receiver * n_nodes + sender).argsort()
+    return edge_index[:, order], None if weight is None else weight[order]
 
 
 def _shown(edge: tuple[int, int]) -> str:

@@ -76,10 +76,10 @@ class ModulePolicy(Policy):
         """True if exactly one message-passing layer runs, once, in a forward pass."""
         return self._n_calls == 1
 
-    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) in any order -> (n, A): F(1)."""
-        edge_index = row_major(edge_index, len(x))
-        with followed(self.network, edge_index, len(x)):
+    def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
+        """(n, D), (2, edges) in any order -> (n, A): F(m)."""
+        edge_index, weight = row_major(edge_index, len(x), weight)
+        with followed(self.network, edge_index, len(x), weight):
             return self._head(run(self.network, x, edge_index))[0].action
 
     def prepare(self, observation: Tensor) -> PreparedGraphs:

@@ -18,6 +18,7 @@ from xmarl_bench.policy.architecture import Architecture, raw_width
 from xmarl_bench.policy.distribution import ActionDistribution, action_distribution
 from xmarl_bench.policy.interface import Policy
 from xmarl_bench.policy.memory import recurrent_cell, remember
+from xmarl_bench.policy.messages import followed, row_major
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {
     "tanh": nn.Tanh,
@@ -67,10 +68,14 @@ class GraphPolicy(Policy):
             nn.Linear(a.decoder[-1] if a.decoder else widths[1], raw_width(a.distribution, a.action_dim)),
         )
 
-    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(n, D), (2, edges) -> (n, A): F(1), by PyG's message passing on any graph."""
+    def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
+        """(n, D), (2, edges) -> (n, A): F(m), by PyG's message passing on any graph."""
         encoded, memory = self.encode(x)
-        return self.head(self.gat(encoded, edge_index), memory)[0].action
+        if weight is None:  # in the order given: PyG's explainers identify edges by position
+            return self.head(self.gat(encoded, edge_index), memory)[0].action
+        edge_index, weight = row_major(edge_index, len(x), weight)
+        with followed(self.gat, edge_index, len(x), weight):
+            return self.head(self.gat(encoded, edge_index), memory)[0].action
 
     def prepare(self, observation: Tensor) -> Prepared:
         """(S, N, D) -> attention and messages on the complete graph with self loops."""

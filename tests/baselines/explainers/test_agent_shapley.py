@@ -42,7 +42,7 @@ class Constant(Policy):
         super().__init__()
         self.fixed, self.continuous_actions = action, not discrete
 
-    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+    def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
         raise NotImplementedError
 
     def prepare(self, observation: Tensor) -> Any:

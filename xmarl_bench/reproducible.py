@@ -6,15 +6,19 @@ import hashlib
 import random
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Final
 
 import numpy as np
 
 from xmarl_bench.errors import InputError
 
-# Seeds of scoring lie above every seed that training draws (below 2**31), and below 2**53, up to which
-# readers of JSON in other languages keep integers exact.
-FIRST_SEED = 10**12
+# Environment seeds, in ranges that do not overlap, below 2**53, up to which readers of JSON in other
+# languages keep integers exact. Explainers are fitted on seeds of the training's range, from 2**30.
 SEEDS_PER_RUN = 10**6
+LONGEST_VALUE: Final = 200
+TRAINING_SEEDS: Final = range(2**31)
+PUBLIC_SEEDS: Final = range(10**12, 10**12 + 10**9 * SEEDS_PER_RUN)  # of scoring, 10**9 runs
+FRESH_SEEDS: Final = range(2**52, 2**53)  # of scoring on episodes that nobody knew at submission
 
 
 def episode_seeds(seed: int, episodes: int) -> list[int]:
@@ -29,7 +33,23 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
         raise InputError(
             f"episodes must be in [1, {SEEDS_PER_RUN}], got {episodes}: choose a number in that range."
         )
-    return [FIRST_SEED + seed * SEEDS_PER_RUN + k for k in range(episodes)]
+    return [PUBLIC_SEEDS[seed * SEEDS_PER_RUN + k] for k in range(episodes)]
+
+
+def fresh_seeds(protocol: str, value: str, episodes: int) -> list[int]:
+    """Environment seeds that depend on nothing but the protocol's id, a value and the number of the episode.
+
+    value: fixed after a submission, a commit hash for example. Raises InputError if it is empty, too long or
+    not printable.
+    """
+    if not value.strip() or len(value) > LONGEST_VALUE or not value.isprintable():
+        raise InputError(
+            f"fresh seeds are derived from 1 to {LONGEST_VALUE} printable characters, got {len(value)}: "
+            f"give the hash of a commit made after the submission."
+        )
+    return [
+        FRESH_SEEDS[derived_seed("fresh", protocol, value, k) % len(FRESH_SEEDS)] for k in range(episodes)
+    ]
 
 
 def derived_seed(*parts: int | str) -> int:

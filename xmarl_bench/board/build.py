@@ -108,7 +108,8 @@ def board_csv(board: Mapping[str, Any]) -> bytes:
     writer.writerow(
         ["protocol", "episodes", "timesteps", "task", "n_agents", "max_cycles", "oracle", "policy",
          "trained_n_agents", "weights_sha256", "gate", "explainer", "control", "rank", "rank_low",
-         "rank_high", "tie_group", "submitter", "verification", "entry_id"]
+         "rank_high", "tie_group", "submitter", "variants_tried", "verification", "fresh_from",
+         "public_less_fresh", "public_less_fresh_low", "public_less_fresh_high", "entry_id"]
         + [f"{metric}{part}" for metric in COLUMNS for part in ("", "_low", "_high")]
     )  # fmt: skip
     for table in board["tables"]:
@@ -121,10 +122,18 @@ def board_csv(board: Mapping[str, Any]) -> bytes:
                      policy["trained_n_agents"], policy["weights_sha256"], policy["gate"],
                      row["explainer"], row["control"], row["rank"],
                      *(row["rank_interval"] or (None, None)), row["tie_group"], row["submitter"],
-                     row["verification"], row["entry_id"]]
+                     row["variants_tried"], row["verification"], *_fresh(row["fresh"]), row["entry_id"]]
                     + [number for metric in COLUMNS for number in _numbers(row["metrics"][metric])]
                 )  # fmt: skip
     return text.getvalue().encode()
+
+
+def _fresh(fresh: Mapping[str, Any] | None) -> tuple[Any, ...]:
+    """The value that seeds are derived from, and the difference that decides with its interval."""
+    if fresh is None or fresh["decides"] is None:
+        return None, None, None, None
+    found = fresh["metrics"][fresh["decides"]]
+    return fresh["value"], found["difference"], *(found["interval"] or (None, None))
 
 
 def _numbers(summary: Mapping[str, Any] | None) -> tuple[float | None, ...]:

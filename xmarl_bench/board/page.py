@@ -94,7 +94,8 @@ def _compact(
                     [len(policies) - 1, row["explainer"], int(row["control"]), row["rank"],
                      row["rank_interval"], row["tie_group"], row["submitter"], row["verification"], identity,
                      int(f"{identity}.avif" in animations), reasons.index(why), row["file"],
-                     [numbers(row["metrics"][name]) for name in COLUMNS]]
+                     [numbers(row["metrics"][name]) for name in COLUMNS], row["variants_tried"],
+                     _fresh(row["fresh"])]
                 )  # fmt: skip
     return {
         "columns": list(COLUMNS.items()),  # in order, which keys of JSON have none of
@@ -141,6 +142,19 @@ def _profile(profile: Json) -> list[list[float | None]]:
             (None, *profile["taus"]), profile["shares"], profile["band"], strict=True
         )
     ]
+
+
+def _fresh(fresh: Json | None) -> Json | None:
+    """What the pages show of fresh seeds: both means, and value, low and high of their difference."""
+    if fresh is None or fresh["decides"] is None:
+        return None
+    found = fresh["metrics"][fresh["decides"]]
+    difference = numbers({"value": found["difference"], "interval": found["interval"]})
+    return {
+        **{name: fresh[name] for name in ("value", "decides", "worse")},
+        "means": [short(found["public"]), short(found["fresh"])],
+        "difference": difference,
+    }
 
 
 def _script(name: str, value: Any) -> bytes:

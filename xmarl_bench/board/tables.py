@@ -20,6 +20,7 @@ import numpy as np
 from xmarl_bench.board.columns import ORDER, PAPER, POLICY_METRICS
 from xmarl_bench.board.gate import shut_gate
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
+from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
 from xmarl_bench.explain.controls import INVERTED
@@ -60,7 +61,7 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
         protocol = entry.protocol.model_dump(mode="json")
         key = hashlib.sha256(canonical_json(protocol)).hexdigest()[:8]
         protocols[key] = protocol
-        for cell in entry.results:
+        for k, cell in enumerate(entry.results):
             scope = {
                 "task": cell.task,
                 "n_agents": cell.n_agents,
@@ -75,7 +76,7 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
             )
             if file < group.file:
                 group.file, group.policy = file, _policy(entry, cell)
-            group.rows.append(_row(file, entry, cell))
+            group.rows.append(_row(file, entry, k))
             group.episodes[file] = np.array(
                 [getattr(row, ORDER["by"]) for row in cell.episodes], dtype=np.float64
             )
@@ -123,7 +124,9 @@ def _policy(entry: Entry, cell: CellResult) -> Json:
     }
 
 
-def _row(file: str, entry: Entry, cell: CellResult) -> Json:
+def _row(file: str, entry: Entry, k: int) -> Json:
+    """Of the k-th cell."""
+    cell = entry.results[k]
     return {
         **_UNRANKED,
         "explainer": entry.explainer.name,
@@ -131,7 +134,9 @@ def _row(file: str, entry: Entry, cell: CellResult) -> Json:
         "seed": entry.explainer.seed,
         "control": entry.explainer.control,
         "submitter": entry.submitter,
+        "variants_tried": entry.variants_tried,
         "verification": entry.verification.status,
+        "fresh": _fresh(entry, k),
         "metrics": _shown(cell.metrics),
         "not_measured": cell.not_measured,
         "file": file,
@@ -148,11 +153,29 @@ def _control_row(file: str, name: str, metrics: ControlMetrics) -> Json:
         "seed": None,
         "control": True,
         "submitter": None,
+        "variants_tried": None,
         "verification": "",
+        "fresh": None,
         "metrics": _shown(metrics),
         "not_measured": {},
         "file": file,
         "entry_id": None,
+    }
+
+
+def _fresh(entry: Entry, k: int) -> Json | None:
+    """Public less fresh in the k-th cell; `decides` is the metric that says who does worse."""
+    fresh = entry.verification.fresh
+    if fresh is None or k >= len(fresh.cells):
+        return None
+    compared = fresh.cells[k]
+    decides = headline(compared)
+    return {
+        "value": fresh.value,
+        "episodes": fresh.episodes,
+        "decides": None if decides is None else decides[0],
+        "worse": worse_on_fresh(compared),
+        "metrics": {name: each.model_dump(mode="json") for name, each in compared.items()},
     }
 
 

@@ -19,6 +19,13 @@ def submit(
     ] = [],  # noqa: B006
     code: Annotated[str | None, typer.Option(help="Link to the explainer's code.")] = None,
     contact: Annotated[str | None, typer.Option(help="Address for questions of the maintainers.")] = None,
+    variants_tried: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Number of variants scored on these episodes, with this one. The board shows it.",
+        ),
+    ] = None,
 ) -> None:
     """Pack entries, their policies and rows into a bundle, and check it as the maintainers will.
 
@@ -35,7 +42,7 @@ def submit(
     if out.exists():
         raise InputError(f"{out} already exists: give another name, or remove it first.")
     given = {load_card(folder).name: folder for folder in policy}
-    submitted = [as_submitted(read_entry(path), submitter, code) for path in entries]
+    submitted = [as_submitted(read_entry(path), submitter, code, variants_tried) for path in entries]
     names = dict.fromkeys(entry.policy.name for entry in submitted)
     for name in given.keys() - names.keys():
         raise InputError(f"none of the entries is of policy {name!r}: leave it out, or give its entries.")

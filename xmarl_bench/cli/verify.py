@@ -16,12 +16,20 @@ def verify(
     tier: Annotated[
         str,
         typer.Option(
-            help="recompute: aggregates from rows, runs nothing; spot: runs some episodes again; full: all."
+            help="recompute: aggregates from rows, runs nothing; spot: runs some episodes again; full: all; "
+            "fresh: runs other episodes, see --fresh-from."
         ),
     ] = "recompute",
     episodes: Annotated[int, typer.Option(help="Episodes of each cell that spot plays again.")] = 10,
     seed: Annotated[
         int | None, typer.Option(help="Seed for the choice of these episodes; random by default.")
+    ] = None,
+    fresh_from: Annotated[
+        str | None,
+        typer.Option(
+            help="For tier fresh: what its seeds are derived from, fixed after the submission, such as the "
+            "hash of a later commit."
+        ),
     ] = None,
     explainer: Annotated[
         str | None,
@@ -50,8 +58,9 @@ def verify(
     """Verify entries: validate them, then compute their numbers again.
 
     Numbers must be equal bit for bit on the platform and versions of the entry, and within the published
-    tolerance elsewhere. Exit code 0: all passed; 1: something did not; 2: something could not be run.
-    --jobs verifies several entries in parallel.
+    tolerance elsewhere. Tier fresh measures how much better the entry is on the public episodes than on
+    fresh ones: it records the difference and passes either way. Exit code 0: all passed; 1: something did
+    not; 2: something could not be run. --jobs verifies several entries in parallel.
     """
     import sys
     from functools import partial
@@ -63,12 +72,12 @@ def verify(
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.submission.checking import check
     from xmarl_bench.submission.limits import Limits
-    from xmarl_bench.submission.verification import Options, Tier, lines, verify_one
+    from xmarl_bench.submission.verification import Options, Tier, lines, signed, verify_one
 
     if tier not in list(Tier):
         raise unknown("tier", tier, Tier)
     limits = Limits(cpu_seconds=cpu_seconds, memory_bytes=int(memory * 2**30))
-    options = Options(Tier(tier), episodes, seed, explainer, trust_code, limits)
+    options = Options(Tier(tier), episodes, seed, explainer, trust_code, limits, fresh_from)
     workers = Workers(jobs, backend, address)
     code, units = 0, []
     for path in paths:
@@ -101,8 +110,8 @@ def verify(
         if verdict.findings:
             code = max(code, 1)
         elif by is not None:
-            signed = verdict.entry.model_copy(update={"verification": verdict.block(by)})
-            write_entry(out or (path if path.is_dir() else path.parent), signed)
+            folder = out or (path if path.is_dir() else path.parent)
+            write_entry(folder, signed(verdict, by, folder))
     if as_json:
         tables.print_json(verdicts)
     raise SystemExit(code)

@@ -30,6 +30,7 @@ from xmarl_bench.records.field_types import (
 )
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.records.json_lines import members, object_of
+from xmarl_bench.reproducible import LONGEST_VALUE
 
 SCHEMA_VERSION: Final = 4
 NOT_HASHED = ("entry_id", "verification", "provenance", "cost")
@@ -264,6 +265,25 @@ class Provenance(Record):
     finished: Text
 
 
+class FreshDifference(Record):
+    """A metric on the public episodes and on fresh ones, which are independent samples."""
+
+    public: float | None  # mean
+    fresh: float | None
+    difference: float | None  # public - fresh
+    interval: tuple[float, float] | None  # 95 %
+
+
+class FreshSeeds(Record):
+    """A score on episodes that nobody knew when the entry was submitted."""
+
+    value: Annotated[str, Field(min_length=1, max_length=LONGEST_VALUE)]  # from which seeds are derived
+    by: Text
+    when: Text  # ISO 8601, UTC
+    episodes: Annotated[int, Field(ge=1, le=10**6)]  # of each cell
+    cells: Annotated[tuple[dict[Name, FreshDifference], ...], Field(min_length=1, max_length=100)]
+
+
 class Verification(Record):
     """Who verified the numbers, how and with which versions. Written by `xmarl-bench verify` only."""
 
@@ -276,6 +296,7 @@ class Verification(Record):
     episodes: Count = 0  # played and explained again, in all cells
     bitwise: bool | None = None  # compared bit for bit; False: within the tolerance for other machines
     max_abs_diff: NotNegative | None = None  # largest over all numbers compared
+    fresh: FreshSeeds | None = left_out()
 
 
 class Entry(Record):
@@ -289,6 +310,7 @@ class Entry(Record):
     cost: Cost
     provenance: Provenance
     reported: dict[str, JsonValue] | None = None  # claims of a paper or submitter, separate from measurements
+    variants_tried: Annotated[int, Field(ge=1, le=10**9)] | None = left_out()  # on these seeds, as claimed
     verification: Verification = Verification()
 
     @property

@@ -6,10 +6,10 @@ one policy. Intervals are Student's over units: with three runs, a 95 % percenti
 86 %, and pooled episodes of different runs are not a sample of one population. Values that are not a number
 are skipped and counted, never filled in.
 
-Sources: Student (1908); Efron and Tibshirani, "An Introduction to the Bootstrap" (1993), percentile interval
-of an entry's means; Holm (1979); Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
-Statistical Precipice", interquartile mean and probability of improvement; Kerby (2014), rank-biserial
-correlation.
+Sources: Student (1908); Welch (1947), independent samples; Efron and Tibshirani, "An Introduction to the
+Bootstrap" (1993), percentile interval of an entry's means; Holm (1979); Agarwal et al. (2021), "Deep
+Reinforcement Learning at the Edge of the Statistical Precipice", interquartile mean and probability of
+improvement; Kerby (2014), rank-biserial correlation.
 """
 
 from __future__ import annotations
@@ -67,6 +67,30 @@ def over_units(
     runs, n_nan = _pairs(a, b)
     episodes = runs[0] if runs else np.array([])
     return _difference(episodes, episodes.size, n_nan, confidence)
+
+
+def over_samples(a: ArrayLike, b: ArrayLike, *, confidence: float = CONFIDENCE) -> Difference:
+    """Mean of a less mean of b, of independent samples of units: Student's interval with Welch's degrees of
+    freedom."""
+    from scipy.special import stdtr, stdtrit
+
+    x, y = _numbers(a), _numbers(b)
+    n, n_nan = x.size + y.size, np.size(a) + np.size(b) - x.size - y.size
+    if not x.size or not y.size:
+        return Difference(None, None, None, 0, n, n_nan)
+    value = float(x.mean() - y.mean())
+    if min(x.size, y.size) < 2:
+        return Difference(value, None, None, n, n, n_nan)
+    squares = [float(_standard_error(each)) ** 2 for each in (x, y)]
+    error = math.sqrt(sum(squares))
+    if error == 0.0:
+        return Difference(value, (value, value), float(value == 0.0), n, n, n_nan)
+    freedom = sum(squares) ** 2 / sum(
+        each**2 / (size - 1) for each, size in zip(squares, (x.size, y.size), strict=True)
+    )
+    half = float(stdtrit(freedom, 0.5 + confidence / 2)) * error
+    p = 2.0 * float(stdtr(freedom, -abs(value) / error))
+    return Difference(value, (value - half, value + half), p, n, n, n_nan)
 
 
 def student_interval(units: Floats, confidence: float = CONFIDENCE) -> tuple[Floats, Floats]:

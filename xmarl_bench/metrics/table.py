@@ -351,6 +351,9 @@ METRICS: tuple[Metric, ...] = (
 )  # fmt: skip
 
 
+# Compared between public and fresh seeds. The first of HEADLINES that is measured says who does worse there.
+ON_FRESH: Final = (ORDER, *(each.name for each in METRICS if each.in_paper))
+HEADLINES: Final = (ORDER, _FID_DELTA.name)
 OPTIONAL: Final = tuple(each.name for each in METRICS if each.optional)
 
 

@@ -41,9 +41,12 @@ class Sampling:
     timesteps: int | None = None  # at most so many of each episode, evenly spaced; None: all
     max_cycles: int | None = None  # steps per episode; None: the task's default
     seed: int = 0  # of the episodes, and of the explainers' randomness
+    given: tuple[int, ...] | None = None  # environment seeds in place of those of `seed`
 
     def __post_init__(self) -> None:
         episode_seeds(self.seed, self.episodes)
+        if self.given is not None and len(self.given) != self.episodes:
+            raise InputError(f"got {len(self.given)} seeds for {self.episodes} episodes: give one for each.")
         for name in ("timesteps", "max_cycles"):
             value = getattr(self, name)
             if value is not None and value < 1:
@@ -53,7 +56,7 @@ class Sampling:
 
     @property
     def seeds(self) -> list[int]:
-        return episode_seeds(self.seed, self.episodes)
+        return episode_seeds(self.seed, self.episodes) if self.given is None else list(self.given)
 
 
 def check_task(name: str) -> None:

@@ -21,11 +21,16 @@ from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time in a zip; fixed, so that equal files give equal bytes
 
 
-def as_submitted(entry: Entry, submitter: str, code: str | None) -> Entry:
-    """The entry with submitter and code URL filled in, which are part of its id."""
+def as_submitted(entry: Entry, submitter: str, code: str | None, variants_tried: int | None = None) -> Entry:
+    """The entry with submitter, code URL and variants tried filled in, which are part of its id."""
     explainer = entry.explainer if code is None else entry.explainer.model_copy(update={"code": code})
     changed = entry.model_copy(
-        update={"submitter": submitter, "explainer": explainer, "verification": Verification()}
+        update={
+            "submitter": submitter,
+            "explainer": explainer,
+            "variants_tried": entry.variants_tried if variants_tried is None else variants_tried,
+            "verification": Verification(),
+        }
     )
     return changed.model_copy(update={"entry_id": entry_id(changed)})
 

@@ -7,26 +7,32 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
 
+from xmarl_bench.entry.file import read_entry
+from xmarl_bench.entry.fresh import headline, worse_on_fresh
+from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.provenance import now
 from xmarl_bench.entry.schema import Entry, ExplainerRecord, Verification
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.metrics.table import by_name
 from xmarl_bench.origin.installed import package_version
 from xmarl_bench.origin.references import Origin
 from xmarl_bench.plugins.registry import EXPLAINERS, find_explainer, find_policy
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.records.strict_json import shown
+from xmarl_bench.reproducible import fresh_seeds
 from xmarl_bench.scoring.score import explainer_record
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
 from xmarl_bench.submission.consistency import CLOSE
+from xmarl_bench.submission.fresh import Fresh, score_fresh
 from xmarl_bench.submission.limits import Limits
 from xmarl_bench.submission.recompute import Difference
 from xmarl_bench.submission.rerun import record_findings, rerun
@@ -40,9 +46,16 @@ class Tier(StrEnum):
     recompute = "recompute"  # recomputes aggregates from rows; runs nothing
     spot = "spot"  # runs some episodes again
     full = "full"  # runs everything again
+    fresh = "fresh"  # runs other episodes, unknown at submission
 
 
-STATUS = {Tier.recompute: "recomputed", Tier.spot: "spot-rerun", Tier.full: "re-executed"}
+# Fresh seeds say nothing of the entry's own rows: their aggregates alone are derived again.
+STATUS = {
+    Tier.recompute: "recomputed",
+    Tier.spot: "spot-rerun",
+    Tier.full: "re-executed",
+    Tier.fresh: "recomputed",
+}
 
 
 @dataclass(frozen=True)
@@ -55,8 +68,16 @@ class Options:
     explainer: str | None = None  # replaces the name in the entry: module:Name or file.py:Name
     trust_code: bool = False
     limits: Limits = field(default_factory=Limits)
+    fresh_from: str | None = None  # fixed after the submission, for fresh
 
     def __post_init__(self) -> None:
+        if (self.tier is Tier.fresh) != (self.fresh_from is not None):
+            raise InputError(
+                "tier fresh needs --fresh-from, and no other tier has an effect of it: give a value that was "
+                "fixed after the submission, such as the hash of a later commit."
+            )
+        if self.fresh_from is not None:
+            fresh_seeds(PROTOCOL, self.fresh_from, 1)
         if self.episodes < 1:
             raise InputError(f"episodes must be at least 1, got {self.episodes}: give a larger number.")
 
@@ -71,6 +92,7 @@ class Verdict:
     episodes: int  # played again
     max_abs_diff: float | None  # of all numbers compared; None if only one of two numbers is null
     findings: tuple[str, ...]
+    fresh: Fresh | None = None  # of fresh alone
 
     def record(self, path: str, file: str) -> dict[str, object]:
         """The verdict for JSON."""
@@ -84,15 +106,22 @@ class Verdict:
             "episodes": self.episodes,
             "max_abs_diff": self.max_abs_diff,
             "findings": list(self.findings),
+            "fresh": None if self.fresh is None else self.fresh.record(),
         }
 
-    def block(self, by: str) -> Verification:
-        """The verification block, signed by `by`. Raises InputError if the entry failed or `by` is empty."""
+    def block(self, by: str, before: Verification | None = None) -> Verification:
+        """The verification block, signed by `by`. Raises InputError if the entry failed or `by` is empty.
+
+        before: the block to replace or add to, by default the entry's own.
+        """
         if self.findings:
             raise InputError(f"the entry failed verification and cannot be signed: {self.findings[0]}")
         if not by.strip():
             raise InputError("the name that signs the entry is empty: give one with --by.")
-        here = Platform.here()
+        before, here = before or self.entry.verification, Platform.here()
+        fresh = before.fresh if self.fresh is None else self.fresh.block(by)
+        if self.fresh is not None and before.status != "unverified":
+            return before.model_copy(update={"fresh": fresh})
         return Verification.model_validate(
             {
                 "status": STATUS[self.tier],
@@ -104,8 +133,21 @@ class Verdict:
                 "episodes": self.episodes,
                 "bitwise": self.bitwise,
                 "max_abs_diff": self.max_abs_diff,
+                "fresh": fresh,
             }
         )
+
+
+def signed(verdict: Verdict, by: str, folder: Path) -> Entry:
+    """The entry with its block, which adds to the block of the same entry in the folder.
+
+    Raises as `Verdict.block`.
+    """
+    entry, before = verdict.entry, None
+    if (folder / entry.file_name).is_file():
+        there = read_entry(folder / entry.file_name)
+        before = there.verification if there.entry_id == entry.entry_id else None
+    return entry.model_copy(update={"verification": verdict.block(by, before)})
 
 
 def verify(checked: Checked, file: str, options: Options) -> Verdict:
@@ -115,12 +157,14 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
     """
     entry = checked.entries[file]
     bitwise = is_same_platform(entry)
-    if options.tier is Tier.recompute:
+    if options.tier in (Tier.recompute, Tier.fresh):
         differences = checked.recomputed[file]
         tolerance = None if bitwise else CLOSE
         apart = [each for each in differences if not agrees(each, tolerance)]
         found = _sentences(apart, "rows give")
-        return Verdict(entry, options.tier, bitwise, 0, _largest(differences), found)
+        recomputed = Verdict(entry, options.tier, bitwise, 0, _largest(differences), found)
+        if options.tier is Tier.recompute or found:
+            return recomputed
     rng = np.random.default_rng(options.seed)
     with ExitStack() as stack:
         policy, card = _policy(checked, entry)
@@ -129,6 +173,8 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
             findings.append(f"the installed policy {entry.policy.name!r} has other weights than the entry's.")
         if findings:
             return Verdict(entry, options.tier, bitwise, 0, None, tuple(findings))
+        if options.fresh_from is not None:
+            return replace(recomputed, fresh=score_fresh(entry, policy, card, explainer, options.fresh_from))
         episodes = None if options.tier is Tier.full else options.episodes
         again = rerun(entry, policy, card, explainer, episodes=episodes, rng=rng)
     apart = disagreeing(again.episodes, bitwise=bitwise)
@@ -198,10 +244,28 @@ def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
     """Lines to print: one per finding, or one that tells how the entry passed."""
     for finding in verdict.findings:
         yield f"{path}: {file}: {finding}"
-    if not verdict.findings:
+    if verdict.fresh is not None:
+        yield from (f"{path}: {file}: {each}" for each in _fresh_lines(verdict.entry, verdict.fresh))
+    elif not verdict.findings:
         how = "bit for bit" if verdict.bitwise else "within the tolerance of another platform"
         again = f", {verdict.episodes} episodes again" if verdict.tier is not Tier.recompute else ""
         yield (
             f"{path}: {file}: {STATUS[verdict.tier]}{again}, {how}, "
             f"largest difference {verdict.max_abs_diff}."
         )
+
+
+def _fresh_lines(entry: Entry, fresh: Fresh) -> Iterator[str]:
+    """For each cell the metric that decides, and whether the explainer does worse."""
+    for cell, compared in zip(entry.results, fresh.cells, strict=True):
+        where = f"{cell.task}, {cell.n_agents} agents: {fresh.episodes} fresh episodes from {fresh.value}"
+        decides = headline(compared)
+        if decides is None:
+            yield f"{where}: no metric to compare."
+            continue
+        name, found = decides
+        interval = "" if found.interval is None else " [{:.3f}, {:.3f}]".format(*found.interval)
+        yield f"{where}: {by_name()[name].title}, public less fresh {found.difference:.3f}{interval}."
+        worse = worse_on_fresh(compared)
+        if worse is not None:
+            yield worse

@@ -12,7 +12,7 @@ from xmarl_bench import as_explainer
 from xmarl_bench.explain.fitting import FIRST_FIT_SEED, FIT_EPISODES, FIT_TIMESTEPS, fit_states
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.render.recording import record
-from xmarl_bench.reproducible import FIRST_SEED
+from xmarl_bench.reproducible import PUBLIC_SEEDS, TRAINING_SEEDS
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.scoring.request import Request
@@ -37,7 +37,7 @@ class Learner:
 
 
 def test_states_are_from_episodes_that_no_score_plays() -> None:
-    assert FIRST_FIT_SEED + FIT_EPISODES <= 2**31 < FIRST_SEED
+    assert FIRST_FIT_SEED + FIT_EPISODES <= TRAINING_SEEDS.stop <= PUBLIC_SEEDS.start
     policy, cell = small_policy(6), Cell("blind_navigation_v0", 3)
     states = fit_states(policy, cell.task, cell.n_agents)
     assert states.shape[0] <= FIT_EPISODES * FIT_TIMESTEPS

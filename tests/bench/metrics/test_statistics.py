@@ -17,6 +17,7 @@ from xmarl_bench.metrics.statistics import (
     holm,
     interquartile_mean,
     over_runs,
+    over_samples,
     over_units,
     percentile_interval,
     percentiles,
@@ -63,6 +64,19 @@ def test_the_units_of_a_single_policy_are_its_episodes() -> None:
     assert ours.units == 40
     alone = over_runs([a], [b])
     assert (alone.value, alone.interval, alone.p, alone.units) == (ours.value, None, None, 1)
+
+
+def test_independent_samples_are_compared_as_scipy_does_by_welch() -> None:
+    a, b = rng(6).normal(1, 1, 30), rng(7).normal(0.5, 3, 12)
+    ours = over_samples(np.append(a, np.nan), b)
+    theirs = stats.ttest_ind(a, b, equal_var=False)
+    assert ours.value == pytest.approx(a.mean() - b.mean())
+    assert ours.interval == pytest.approx(tuple(theirs.confidence_interval(0.95)))
+    assert ours.p == pytest.approx(theirs.pvalue)
+    assert (ours.units, ours.n_nan) == (42, 1)
+    assert over_samples([1.0, 1.0], [0.5, 0.5]) == Difference(0.5, (0.5, 0.5), 0.0, 4, 4, 0)
+    assert over_samples([1.0], [0.5, 0.5]).interval is None
+    assert over_samples([np.nan], [1.0]) == Difference(None, None, None, 0, 1, 1)
 
 
 def test_runs_are_the_units_for_any_number_of_episodes() -> None:

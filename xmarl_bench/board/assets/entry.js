@@ -36,6 +36,7 @@ function showProvenance(row, details) {
   const listed = [
     ["entry", element("a", { href: row.file }, details.entry_id)],
     ["submitter", row.submitter ?? "\u2013"],
+    ["variants tried on these seeds, as the submitter says", String(row.variantsTried ?? "\u2013")],
     ["protocol", describeProtocol(row.table.protocol)],
     ["first episode's seed", String(details.first_seed)],
     ["masks take", `${(1000 * cost.explain_seconds_per_timestep).toPrecision(3)} ms a timestep`],
@@ -88,8 +89,8 @@ async function showEntry() {
   document.title = `${row.explainer} on ${policy.name}, xmarl-bench`;
   $("title").textContent = `${row.explainer} on ${policy.name}`;
   const place = row.rank === null ? [] : [" Rank ", placeNode(row.rank, row.rankInterval, row.tie), " on this policy."];
-  $("summary").replaceChildren(`${table.task}, ${table.n_agents} agents; ${describeProtocol(table.protocol)} of at most ${table.max_cycles} steps.`, ...place, " ", badge(row.verification));
-  $("gate").textContent = policy.gate ? `Not ranked: ${policy.gate}.` : "";
+  $("summary").replaceChildren(`${table.task}, ${table.n_agents} agents; ${describeProtocol(table.protocol)} of at most ${table.max_cycles} steps.`, ...place, " ", badge(row.verification), freshNode(row));
+  $("gate").textContent = [policy.gate ? `Not ranked: ${policy.gate}.` : null, row.fresh?.worse].filter(Boolean).join(" ");
   const mine = details[row.id];
   showMetrics(row, mine);
   showCommand(mine);

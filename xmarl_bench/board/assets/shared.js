@@ -26,7 +26,7 @@ const rows = BOARD.rows.map((row) => {
     policy, table: BOARD.tables[policy.table], explainer: row[1], control: row[2] === 1, rank: row[3],
     rankInterval: row[4], tie: row[5], submitter: row[6], verification: row[7], id: row[8],
     animated: row[9] === 1, why: BOARD.reasons[row[10]], file: row[11],
-    metrics: Object.fromEntries(METRICS.map((name, k) => [name, row[12][k]])),
+    metrics: Object.fromEntries(METRICS.map((name, k) => [name, row[12][k]])), variantsTried: row[13], fresh: row[14],
   };
 });
 
@@ -84,6 +84,19 @@ const BADGES = {
 
 const badge = (status) =>
   status ? element("span", { class: `badge ${status}`, title: BADGES[status] ?? status }, status) : element("span");
+
+/** What the submitter says of the public seeds, and what fresh seeds say: beside the badge. */
+function freshNode({ fresh, variantsTried }) {
+  const node = element("span", { class: "fresh" });
+  if (fresh) {
+    const [publicMean, freshMean] = fresh.means;
+    node.append(element("small", { class: fresh.worse ? "gate" : null,
+      title: fresh.worse ?? `${plainHeading(fresh.decides)}: ${number(publicMean)} on the public seeds, ${number(freshMean)} on fresh ones, from ${fresh.value}` },
+    " public \u2212 fresh ", intervalNode(...fresh.difference, null)));
+  }
+  if (variantsTried !== null) node.append(element("small", { title: "the submitter's word" }, ` ${variantsTried} ${variantsTried === 1 ? "variant" : "variants"} tried`));
+  return node;
+}
 
 const loading = {};
 

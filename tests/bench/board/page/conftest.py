@@ -9,12 +9,22 @@ from PIL import Image
 
 from tests.bench.board.page.browser import browse, chromium
 from tests.helpers.made_entries import made_board, made_entry
-from xmarl_bench.board import build_board
+from xmarl_bench.board import ORDER, build_board
 from xmarl_bench.entry.file import write_entry
+from xmarl_bench.entry.schema import Entry, FreshDifference, FreshSeeds, Verification, entry_id
 
 __all__ = ["browse", "chromium"]
 EXPLAINERS = {"good": 0.9, "fair": 0.6, "bad": 0.3}
 HOSTILE = '<img src="x" onerror="document.title = 1">'
+
+
+def with_fresh(entry: Entry, less: float) -> Entry:
+    """The entry with a claim of 12 variants, and so much less of the headline metric on fresh seeds."""
+    found = FreshDifference(public=0.9, fresh=0.9 - less, difference=less, interval=(less - 0.1, less + 0.1))
+    fresh = FreshSeeds(value="0123abc", by="B", when="2026", episodes=50, cells=({ORDER["by"]: found},))
+    block = Verification(status="re-executed", by="A", fresh=fresh)
+    claimed = entry.model_copy(update={"variants_tried": 12, "verification": block})
+    return claimed.model_copy(update={"entry_id": entry_id(claimed)})
 
 
 @pytest.fixture(scope="session")
@@ -24,7 +34,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     entries = [
         *made_board(["p0", "p1", "p2", "p3"], EXPLAINERS),
         made_entry("failing", "good", 0.9, success_rate=0.2),
-        made_entry("hall", "good", 0.8, task="blind_passage_v0", submitter=HOSTILE),
+        with_fresh(made_entry("hall", "good", 0.8, task="blind_passage_v0", submitter=HOSTILE), 0.4),
         made_entry("short", "good", 0.7, episodes=10),
     ]
     for entry in entries:

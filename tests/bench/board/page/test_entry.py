@@ -42,6 +42,19 @@ def test_the_page_shows_numbers_provenance_and_command(board: Path, browse: Brow
     expect(page.locator("#copied")).not_to_be_empty()
 
 
+def test_what_fresh_seeds_say_stands_beside_the_badge(board: Path, browse: Browse) -> None:
+    entry = find(board, "hall")
+    summary = browse(board / "entry.html", f"#{entry.entry_id[:16]}").locator("#summary")
+    expect(summary).to_contain_text("re-executed public \u2212 fresh 0.400 [0.300, 0.500] 12 variants tried")
+    page = browse(board / "entry.html", f"#{entry.entry_id[:16]}")
+    expect(page.locator("#gate")).to_contain_text(
+        "It does worse on fresh seeds: message fidelity 0.500 there"
+    )
+    expect(page.locator("#provenance")).to_contain_text("verification.fresh.value")
+    row = browse(board / "index.html", "#task=blind_passage_v0&kind=0").locator("#scores tbody tr").first
+    expect(row).to_contain_text("public \u2212 fresh 0.400")
+
+
 @pytest.mark.parametrize("motion", ["no-preference", "reduce"])
 def test_the_animation_can_be_stopped(board: Path, browse: Browse, motion: str) -> None:
     identity = find(board, "p0").entry_id[:16]

@@ -63,7 +63,7 @@ const scores = new DataTable("#scores", {
     text("policy", (row) => row.policy.name),
     text("agents", (row) => row.table.n_agents, null, { type: "num" }),
     ...METRICS.map((name) => metricColumn(name, name === ORDER || BOARD.paper.includes(name) || name === "success_on_explanation")),
-    text("verification", (row) => row.verification, (row) => badge(row.verification)),
+    text("verification", (row) => row.verification, (row) => element("span", {}, badge(row.verification), freshNode(row))),
   ],
   createdRow: (line, row) => line.classList.toggle("control", row.control),
   language: { search: "Search", lengthMenu: "_MENU_ rows a page", info: "_START_\u2013_END_ of _TOTAL_ rows", infoFiltered: "(of _MAX_)",

@@ -8,10 +8,12 @@ from xmarl_envs.blind_discovery_v0 import BlindDiscovery
 from xmarl_envs.blind_navigation_v0 import BlindNavigation
 from xmarl_envs.blind_passage_v0 import BlindPassage
 from xmarl_envs.parallel import TaskParallelEnv
+from xmarl_envs.registration import register_tasks
 from xmarl_envs.task import Layout, Outcome, State, Task
 from xmarl_envs.vector_env import Step, VectorEnv
 
 TASKS: dict[str, type[Task]] = {task.name: task for task in (BlindNavigation, BlindPassage, BlindDiscovery)}
+register_tasks(TASKS.values())
 
 __all__ = [
     "TASKS", "BlindDiscovery", "BlindNavigation", "BlindPassage", "Layout", "Outcome", "State", "Step",

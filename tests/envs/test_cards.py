@@ -79,5 +79,7 @@ def test_links_lead_to_files_and_code_runs() -> None:
         assert (FOLDER / link).exists(), link
     for path in re.findall(r"`(tests/[\w./]+)`", README):
         assert (FOLDER.parent / path).exists(), path
-    (code,) = re.findall(r"^```python\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
-    exec(compile(code, "envs/README.md", "exec"), {"__name__": "readme"})
+    blocks = re.findall(r"^```python\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
+    assert blocks
+    for code in blocks:
+        exec(compile(code, "envs/README.md", "exec"), {"__name__": "readme"})

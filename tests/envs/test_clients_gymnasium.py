@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.performance import benchmark_vector_step
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, NormalizeObservation, RecordEpisodeStatistics
 from numpy.typing import NDArray
-from xmarl_envs import TASKS, Task, TaskParallelEnv, make_task
+from xmarl_envs import TASKS, Task, make_task
 from xmarl_envs.actions import nearest_actions
+from xmarl_envs.gymnasium_env import TeamEnv
 from xmarl_envs.gymnasium_vector_env import TeamVectorEnv
 
 NUM_ENVS, N_AGENTS, MAX_CYCLES = 5, 3, 40
@@ -25,42 +25,8 @@ modes = pytest.mark.parametrize("mode", list(AutoresetMode))
 Act = Callable[[NDArray[np.float32]], NDArray[Any]]
 
 
-class TeamEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]]):
-    """One team as an ordinary Gymnasium environment, for SyncVectorEnv."""
-
-    def __init__(self, task: Task) -> None:
-        self.env = TaskParallelEnv(task, MAX_CYCLES)
-        self.observation_space = spaces.Box(-np.inf, np.inf, (N_AGENTS, self.env.task.obs_dim), np.float32)
-        self.action_space = (
-            spaces.Box(-1.0, 1.0, (N_AGENTS, 2), np.float32)
-            if task.continuous_actions
-            else spaces.MultiDiscrete([5] * N_AGENTS)
-        )
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        super().reset(seed=seed)
-        return np.stack(list(self.env.reset(seed)[0].values())), {}
-
-    def step(self, action: NDArray[Any]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        actions = dict(zip(self.env.agents, action, strict=True))
-        observations, rewards, terminations, truncations, infos = self.env.step(actions)
-        infos_by_key = {
-            key: np.array([info[key] for info in infos.values()]) for key in next(iter(infos.values()))
-        }
-        agent_reward = np.array(list(rewards.values()))
-        return (
-            np.stack(list(observations.values())),
-            float(agent_reward.mean()),
-            terminations["agent_0"],
-            truncations["agent_0"],
-            {"agent_reward": agent_reward, **infos_by_key},
-        )
-
-
 def peer(task: Task, mode: AutoresetMode) -> SyncVectorEnv:
-    return SyncVectorEnv([lambda: TeamEnv(task)] * NUM_ENVS, autoreset_mode=mode)
+    return SyncVectorEnv([lambda: TeamEnv(task, MAX_CYCLES)] * NUM_ENVS, autoreset_mode=mode)
 
 
 def ours(task: Task, mode: AutoresetMode) -> TeamVectorEnv:
@@ -87,9 +53,18 @@ def steering(task: Task, seed: int = 0) -> Act:
 
 
 @both_actions
-def test_the_peer_is_a_valid_gymnasium_environment(continuous: bool) -> None:
+def test_a_team_is_a_valid_gymnasium_environment(continuous: bool) -> None:
     task = make_task("blind_navigation_v0", N_AGENTS, continuous_actions=continuous)
     check_env(TeamEnv(task), skip_render_check=True)
+
+
+def test_a_team_needs_an_episode_and_an_action_per_agent() -> None:
+    env = TeamEnv(NAVIGATION)
+    with pytest.raises(ValueError, match="no episode is under way: call reset first"):
+        env.step(np.zeros((N_AGENTS, 2)))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="a team of 3 needs as many actions, got 2"):
+        env.step(np.zeros((2, 2)))
 
 
 @pytest.mark.slow
@@ -184,20 +159,8 @@ def test_gymnasium_s_wrappers_work_on_it() -> None:
     assert [info["at_goal"].shape for info in infos if info] == [(N_AGENTS,)] * NUM_ENVS
 
 
-def make_navigation(num_envs: int, **options: Any) -> TeamVectorEnv:
-    return TeamVectorEnv(make_task("blind_navigation_v0"), num_envs, **options)
-
-
-@pytest.fixture
-def registered() -> Iterator[str]:
-    name = "xmarl_test/navigation-v0"
-    gymnasium.register(name, vector_entry_point=f"{__name__}:make_navigation")
-    yield name
-    del gymnasium.registry[name]
-
-
-def test_gymnasium_makes_a_registered_task_and_measures_its_speed(registered: str) -> None:
-    env = gymnasium.make_vec(registered, num_envs=4, vectorization_mode="vector_entry_point", max_cycles=5)
+def test_gymnasium_measures_its_speed() -> None:
+    env = gymnasium.make_vec("xmarl/blind_navigation-v0", num_envs=4, max_cycles=5)
     assert env.num_envs == 4
     assert benchmark_vector_step(env, target_duration=0, seed=1) > 0
 

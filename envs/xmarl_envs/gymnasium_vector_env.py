@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from xmarl_envs.actions import team_action_space
 from xmarl_envs.episode_seeds import EpisodeSeeds
+from xmarl_envs.parallel import TaskParallelEnv, task_of
 from xmarl_envs.task import Bools, Floats, Task
 from xmarl_envs.vector_env import Step, VectorEnv
 
@@ -26,6 +27,8 @@ Infos = dict[str, Any]
 
 class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
     """`num_envs` teams of N agents, with auto-reset in any of Gymnasium's three modes.
+
+    task: or `parallel_env(...)` of one.
 
     | | shape | |
     |---|---|---|
@@ -52,12 +55,13 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
 
     def __init__(
         self,
-        task: Task,
+        task: Task | TaskParallelEnv,
         num_envs: int = 1,
         max_cycles: int | None = None,
         copies_per_space: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
+        task, max_cycles = task_of(task, max_cycles)
         self.task = task
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)

@@ -31,6 +31,8 @@ class TaskParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # no
     (N * obs_dim,), for centralised critics. Each agent's info holds `at_goal` (discovery: `found`),
     `agent_collision` and `object_collision` of the step just taken; after `reset` it is empty.
 
+    Copies (`copy.deepcopy`, pickle) go on bit for bit as the original does, given the same actions.
+
     `step` raises ValueError if actions are missing, of another shape, not finite, or no numbers of actions.
     """
 
@@ -142,6 +144,10 @@ class TaskParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # no
             self._renderer.close()
             self._renderer = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the window: a copy opens its own."""
+        return {**self.__dict__, "_renderer": None}
+
     def _in_order(self, actions: dict[str, Any]) -> NDArray[Any]:
         """(1, N, 2) or (1, N): the agents' actions. Raises ValueError that names the first invalid one."""
         dtype = np.float64 if self.task.continuous_actions else None
@@ -164,6 +170,21 @@ class TaskParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # no
 
     def _by_agent(self, observation: Array) -> dict[str, Array]:
         return {agent: observation[i] for i, agent in enumerate(self.possible_agents)}
+
+
+def task_of(source: Task | TaskParallelEnv, max_cycles: int | None) -> tuple[Task, int | None]:
+    """The task, and max_cycles: those of `parallel_env(...)` by default.
+
+    Raises TypeError for anything else, such as a wrapped environment, whose wrappers would have no effect.
+    """
+    if isinstance(source, TaskParallelEnv):
+        return source.task, source.max_cycles if max_cycles is None else max_cycles
+    if not isinstance(source, Task):
+        raise TypeError(
+            f"a vector environment takes a task or parallel_env(...), got {type(source).__name__}: give one "
+            f"of these, without wrappers."
+        )
+    return source, max_cycles
 
 
 class Constructors(NamedTuple):

@@ -20,6 +20,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from xmarl_envs.actions import action_space
 from xmarl_envs.episode_seeds import EpisodeSeeds
+from xmarl_envs.parallel import TaskParallelEnv, task_of
 from xmarl_envs.task import Task
 from xmarl_envs.vector_env import VectorEnv
 
@@ -57,7 +58,9 @@ class OneObjectVecEnv(VecEnv):
 
 
 class AgentVecEnv(OneObjectVecEnv):
-    """`n_episodes` teams of N agents with auto-reset; entry e is agent e % N of team e // N.
+    """`n_episodes` teams of N agents with auto-reset, of a task or of `parallel_env(...)`.
+
+    Entry e is agent e % N of team e // N.
 
     Observations (n_episodes * N, D) float32, actions (n_episodes * N, 2) in [-1, 1], or (n_episodes * N,) of
     0 to 4 where the task has `continuous_actions=False` (xmarl_envs.actions), rewards (n_episodes * N,)
@@ -76,13 +79,14 @@ class AgentVecEnv(OneObjectVecEnv):
 
     def __init__(
         self,
-        task: Task,
+        task: Task | TaskParallelEnv,
         n_episodes: int = 1,
         *,
         seed: int | None = None,
         max_cycles: int | None = None,
         copies_per_space: int = 1,
     ) -> None:
+        task, max_cycles = task_of(task, max_cycles)
         self.task = task
         self._env = VectorEnv(task, n_episodes, max_cycles, copies_per_space)
         self._episode_seeds = [EpisodeSeeds() for _ in range(n_episodes)]

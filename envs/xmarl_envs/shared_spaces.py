@@ -6,6 +6,8 @@ in which it has a contact. It leaves after a whole step without one: Chipmunk th
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +36,14 @@ class SharedSpaces:
         self._slot: NDArray[np.intp] = np.full(n_episodes, NO_SLOT)  # (B,) -> slot
         self._touched: Bools = np.zeros(n_episodes, dtype=np.bool_)  # (B,) in the last step
         self._pairs = np.triu_indices(task.n_agents, k=1)
+
+    def __getstate__(self) -> dict[str, Any]:
+        if self._spaces:
+            raise TypeError(
+                "an environment with copies_per_space above 1 cannot be copied or pickled after its first "
+                "contact: make it with copies_per_space=1."
+            )
+        return self.__dict__
 
     def place(self, episodes: NDArray[np.intp], agents: Floats, velocity: Floats, walls: Floats) -> None:
         """Begin episodes (E,): they fly freely until their first contact."""

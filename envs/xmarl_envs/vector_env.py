@@ -30,6 +30,8 @@ class Step(NamedTuple):
 class VectorEnv:
     """B episodes of `task`. The caller resets each of them.
 
+    With one copy per Space, copies (`copy.deepcopy`, pickle) go on bit for bit as the original does.
+
     Args:
         task: the rules, e.g. `BlindNavigation(n_agents=3)`.
         n_episodes: B.

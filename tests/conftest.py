@@ -117,6 +117,8 @@ def run_cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 
     monkeypatch.setenv("XMARL_BENCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(typer.main, "get_command", parser)
+    # This process is the program, and it goes on: the next command's workers need not import torch again.
+    monkeypatch.setattr(cli, "end_workers", lambda: None)
 
     def run(*arguments: object) -> Ran:
         monkeypatch.setattr(sys, "argv", ["xmarl-bench", *map(str, arguments)])

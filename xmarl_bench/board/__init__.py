@@ -1,7 +1,7 @@
-"""The leaderboard: derived from entries and from nothing else, never edited.
+"""The leaderboard: derived from entries only, never edited.
 
-`leaderboard.json`, `leaderboard.csv` and the page are functions of the entries (and, for the page, of which
-animations there are), so anyone can rebuild them, byte by byte.
+`leaderboard.json`, `leaderboard.csv` and the page are functions of the entries (the page also of the existing
+animations), so anyone can rebuild them byte for byte.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ CURVES = ("explained", "random", "oracle")
 def curves_of(cell: CellResult) -> dict[str, dict[str, list[list[float]]]]:
     """{"budget", "comm_budget"} -> {curve: points of k = 1 .. M - 1}.
 
-    A point of `explained` is [mean, low, high] with the 95 % interval over episodes, of the others
-    [mean]. Episodes with a number missing are left out, and curves that no episode has.
+    A point of `explained` is [mean, low, high] with the 95 % interval over episodes; a point of the others is
+    [mean]. Omits episodes with missing numbers, and curves that no episode has.
     """
     return {name: _curves(cell, name) for name in ("budget", "comm_budget")}
 
@@ -33,7 +33,7 @@ def _curves(cell: CellResult, name: str) -> dict[str, list[list[float]]]:
 
 
 def _with_band(episodes: Floats) -> list[list[float]]:
-    """(E, K) -> K points."""
+    """(E, K) -> K points with intervals."""
     if len(episodes) < 2:
         return _rounded(episodes.mean(axis=0))
     low, high = student_interval(episodes.T)

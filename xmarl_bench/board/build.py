@@ -1,10 +1,10 @@
-"""Build and check what is derived from a folder's entries: JSON, CSV and the page.
+"""Builds and checks the files derived from a folder's entries: JSON, CSV and the page.
 
-Every derived file is first written beside its place under a temporary name, then all are renamed, the page
-`index.html` last. Files under `pages/` carry a hash of their bytes in their name and are removed only when no
-page refers to them any more. So whenever a build is killed, every file is whole, and each page finds the
-files that it was made with. Killed while writing, the board is the old one throughout; killed between two
-renames, some files are of the new one, which `check` reports and the next build completes.
+Every derived file is first written under a temporary name, then all are renamed, the page `index.html` last.
+Names of files under `pages/` contain a hash of their bytes, and files that no page refers to are removed. So
+if a build is killed at any time, every file is complete, and each page finds the files that it was built
+with. If it is killed while writing, the old board remains. If it is killed between two renames, some files
+are new; `check` reports this, and the next build completes it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 
 ANIMATIONS = "animations"
-STAGED = ".new"  # ending of what is written and not yet in place
-ROW_DEPTH = 6  # from the board down to a table's rows
+STAGED = ".new"  # suffix of files that are written but not yet renamed
+ROW_DEPTH = 6  # depth of a table's rows in the board's JSON
 
 
 def build_board(folder: Path) -> Path:
     """Derive everything from FOLDER/entries/*.json; returns FOLDER/leaderboard.json.
 
-    Raises InputError, before writing, where an entry is not valid. Builds of one folder wait for each other.
+    Raises InputError, before writing, if an entry is invalid. Builds of one folder wait for each other.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
@@ -47,12 +47,12 @@ def build_board(folder: Path) -> Path:
 
 
 def check_board(folder: Path) -> list[str]:
-    """What is stale, one sentence each; empty where a build would change nothing.
+    """A sentence for each stale file; empty if a build would change nothing.
 
-    Raises InputError where there is no such folder, or an entry in it is not valid.
+    Raises InputError if the folder does not exist or holds an invalid entry.
     """
     if not folder.is_dir():
-        raise InputError(f"there is no folder {folder}: give that of a leaderboard.")
+        raise InputError(f"folder {folder} does not exist: give the folder of a leaderboard.")
     made = derived(folder)
     found = []
     for path, data in sorted(made.files.items()):
@@ -63,17 +63,17 @@ def check_board(folder: Path) -> list[str]:
 
 
 class Derived(NamedTuple):
-    files: dict[str, bytes]  # by path in the folder, in the order of putting in place
-    animations: set[str]  # names that an animation of one of the entries would have
+    files: dict[str, bytes]  # by path in the folder, in the order of renaming
+    animations: set[str]  # names of the entries' animations, existing or not
 
 
 def derived(folder: Path) -> Derived:
-    """Everything derived from the folder's entries. Raises InputError where one is not valid."""
+    """Everything derived from the folder's entries. Raises InputError if an entry is invalid."""
     details: dict[str, Details] = {}
     known: set[str] = set()
 
     def read() -> Iterator[tuple[str, Entry]]:
-        """One entry after the other, for many are large; the page keeps of each what it shows."""
+        """Yield entries one at a time, because many are large; `details` keeps what the page shows."""
         for path in sorted((folder / "entries").glob("*.json")):
             entry, file = read_entry(path), f"entries/{path.name}"
             details[file] = details_of(entry)
@@ -97,12 +97,12 @@ def animation_name(entry: Entry) -> str:
 
 
 def board_json(board: Mapping[str, Any]) -> bytes:
-    """Sorted keys, and one line for each row, so that a new entry changes few lines."""
+    """JSON with sorted keys and one line for each row, so that a new entry changes few lines."""
     return (_json(board, ROW_DEPTH) + "\n").encode()
 
 
 def board_csv(board: Mapping[str, Any]) -> bytes:
-    """One line per row of every table: what it is, its place, and value, low and high of each metric."""
+    """One line per row of every table: its names, its rank, and value, low and high of each metric."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
@@ -168,7 +168,7 @@ def _publish(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _obsolete(folder: Path, made: Derived) -> list[Path]:
-    """What a killed build has left, pages that nothing refers to, animations of entries that are gone."""
+    """Leftovers of killed builds, pages without references, and animations without entries."""
     return sorted(
         [
             *folder.glob(f".*{STAGED}"),
@@ -191,7 +191,7 @@ def _bytes(path: Path) -> bytes | None:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """One build of the folder at a time, also among processes; a killed one holds no lock."""
+    """Allow one build of the folder at a time, among all processes. A killed process releases the lock."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)

@@ -1,4 +1,4 @@
-"""What the board shows, in which order, and what it takes to be ranked."""
+"""The board's order and columns."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ ORDER = {
     "direction": "descending",
     "controls": "shown in place, not ranked",
     "note": "Message fidelity: how well an explainer ranks the messages of a receiver. 0 is a random "
-    "ranking, 1 the best one; it is the mean over four models of what an agent hears in place of a message "
-    "that is taken away. FidDelta alone can be gamed: the mask of ones, a control, attains most of it.",
+    "ranking, 1 the best one. It is the mean over four absence models, which replace a removed message in "
+    "different ways. FidDelta alone can be gamed: the mask of ones, a control, attains most of it.",
 }
-# Metric -> heading; an arrow says which way is better.
+# Metric -> heading, with an arrow in the better direction.
 COLUMNS = {metric.name: metric.column_heading for metric in columns_of(*OF_EXPLAINERS)}
-PAPER = tuple(metric.name for metric in METRICS if metric.in_paper)  # beside the order in every table
+PAPER = tuple(metric.name for metric in METRICS if metric.in_paper)  # shown in every table
 POLICY_METRICS = tuple(metric.name for metric in columns_of(*OF_POLICIES))

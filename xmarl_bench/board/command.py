@@ -1,4 +1,4 @@
-"""The command that makes an entry's numbers again."""
+"""The command that reproduces an entry."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xmarl_bench.entry.schema import Entry
 
 
 def command_of(entry: Entry, out: str = "again") -> str:
-    """`xmarl-bench score ...`, for a shell: with the same versions its entry has the same `entry_id`."""
+    """`xmarl-bench score ...`, for a shell. With the same versions, the new entry has the same `entry_id`."""
     explainer, protocol = entry.explainer, entry.protocol
     named = explainer.entry_point if explainer.distribution is None else explainer.name  # not installed
     words = ["xmarl-bench", "score", "--policy", entry.policy.name, "--explainer", named]

@@ -1,4 +1,4 @@
-"""What the page shows of an entry beside its means: episodes, budgets, provenance."""
+"""The details of an entry on the page, besides its means: episodes, budgets, provenance."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from xmarl_bench.entry.schema import CellResult, Entry
 from xmarl_bench.explain.controls import INVERTED
 from xmarl_bench.metrics.table import Group, names_of
 
-DIGITS = 4  # significant; `leaderboard.json` has them all
-# Metrics that the charts show by episode: of the explanation, not of the policy.
+DIGITS = 4  # significant digits; `leaderboard.json` has all
+# Metrics that the charts show by episode: those of explanations, not of policies.
 EPISODE_METRICS = names_of(Group.BEHAVIOUR) + names_of(Group.BEHAVIOUR_UNDER) + names_of(Group.EXPLANATION)
 Json = dict[str, Any]
 Details = dict[tuple[str, int, int], Json]  # by task, team size and max cycles
@@ -48,7 +48,7 @@ def _detail(entry: Entry, cell: CellResult) -> Json:
 
 
 def numbers(summary: Any) -> list[float | None] | None:
-    """A summary (a record or its dump) as value, low and high."""
+    """[value, low, high] of a summary (a record or its dump)."""
     if summary is None:
         return None
     fields = summary if isinstance(summary, dict) else summary.model_dump()

@@ -1,7 +1,7 @@
-"""What it takes that explanations of a policy are ranked.
+"""The gate: which policies' explanations are ranked.
 
-A team that fails has nothing worth explaining, and of a team whose messages are of no use no explanation of
-them is worth anything, however much they change its actions: a policy was seen that did better without them.
+Explanations are ranked only for teams that succeed and whose messages help. Messages may change actions much
+without helping: there are policies that do better without them.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from typing import Final
 from xmarl_bench.entry.schema import Metrics, Summary
 from xmarl_bench.metrics.table import GAINS, SUCCESS, by_name
 
-LEAST_SUCCESS: Final = 0.5
+MIN_SUCCESS: Final = 0.5
 
 
-def shut_gate(metrics: Metrics) -> str | None:
-    """Why explanations of a policy are not ranked, without a full stop; None where they are."""
+def gate_reason(metrics: Metrics) -> str | None:
+    """Why explanations of a policy are not ranked, without a full stop; None if they are ranked."""
     success = getattr(metrics, SUCCESS).value
-    if success is None or success < LEAST_SUCCESS:
-        return f"success rate {_number(success)}, under {LEAST_SUCCESS:g}"
+    if success is None or success < MIN_SUCCESS:
+        return f"success rate {_number(success)}, under {MIN_SUCCESS:g}"
     gains = {name: getattr(metrics, name) for name in GAINS}
     if any(gain.interval is not None and gain.interval[0] > 0.0 for gain in gains.values()):
         return None

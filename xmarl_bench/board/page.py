@@ -1,13 +1,13 @@
-"""The page: static files that load nothing from elsewhere, and open from a disk as well as from a server.
+"""The page: static files that load nothing from elsewhere, from a disk or a server.
 
-`index.html` and `entry.html` are small; what they show comes from scripts in `pages/`, since a browser lets a
-page that was opened from a disk load scripts but not JSON:
+`index.html` and `entry.html` are small. Their data is in scripts in `pages/`, because browsers let a page
+opened from a disk load scripts but not JSON:
 
-- one script with every row of the board (values and intervals, four digits), loaded by both;
+- one script with every row of the board (values and intervals, four digits), loaded by both pages;
 - one script per policy and table with the episodes, budgets and provenance of its entries, loaded when a
-  chart or an entry needs it. One page shows every entry: a page each would repeat all of this.
+  chart or an entry needs it. `entry.html` shows every entry, so that this data is not repeated.
 
-Each name under `pages/` ends in a hash of the bytes, so no page ever finds a file of another build.
+Each name under `pages/` ends in a hash of its bytes, so a page never loads a file of another build.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Json = dict[str, Any]
 def page_files(board: Json, details: Mapping[str, Details], animations: Set[str]) -> dict[str, bytes]:
     """Every file of the page by its path.
 
-    board: of `board_of`; details: by file; animations: names of the files in `animations/`.
+    board: the result of `board_of`; details: by file; animations: names of the files in `animations/`.
     """
     files: dict[str, bytes] = {}
 
@@ -59,10 +59,10 @@ def page_files(board: Json, details: Mapping[str, Details], animations: Set[str]
 def _compact(
     board: Json, details: Mapping[str, Details], animations: Set[str], add: Callable[[str, bytes], str]
 ) -> Json:
-    """The whole board in lists. `add` takes the script of a policy and says where it is."""
+    """The whole board as lists. add: stores the script of a policy and returns its path."""
     policies: list[Json] = []
     rows: list[list[Any]] = []
-    reasons: list[Json] = [{}]  # of `not_measured`: most rows share one
+    reasons: list[Json] = [{}]  # values of `not_measured`, which most rows share
     for t, table in enumerate(board["tables"]):
         for policy in table["policies"]:
             key = _hash(canonical_json([t, policy["name"], policy["weights_sha256"]]))
@@ -98,7 +98,7 @@ def _compact(
                      _fresh(row["fresh"])]
                 )  # fmt: skip
     return {
-        "columns": list(COLUMNS.items()),  # in order, which keys of JSON have none of
+        "columns": list(COLUMNS.items()),  # a list, because keys of JSON have no order
         "paper": PAPER,
         "order": board["order"],
         "protocols": {

@@ -1,7 +1,7 @@
-"""Who is better than whom, and how sure that is: ranks with intervals, and tie groups.
+"""Ranks competitors, with intervals of ranks and tie groups.
 
-Everything is paired: competitors are compared on the same units. These are the training runs where several
-policies stand behind a mean, and the episodes of a single one (xmarl_bench.metrics.statistics).
+Comparisons are paired: competitors are compared on the same units. With several policies the units are
+training runs, with a single policy its episodes (xmarl_bench.metrics.statistics).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xmarl_bench.metrics.statistics import CONFIDENCE, groups_by_head, holm, student_interval, student_p
 
-DIGITS = 6  # after the point; what is beyond is rounding, as between attention and attention-rowmax
+DIGITS = 6  # decimal digits; smaller differences are rounding, as between attention and attention-rowmax
 
 Floats = NDArray[np.float64]
 Explainer = TypeVar("Explainer", bound=Hashable)
@@ -24,21 +24,21 @@ Policy = TypeVar("Policy", bound=Hashable)
 
 @dataclass(frozen=True)
 class Place:
-    """Where a competitor stands. Without two units nothing is known: no intervals, all tied."""
+    """A competitor's place. With fewer than two units there are no intervals, and all are tied."""
 
-    rank: int  # from 1, by value; equal values share one
-    rank_interval: tuple[int, int] | None  # 95 %: who is surely better or worse, by Holm over its differences
+    rank: int  # from 1, by value; equal values share a rank
+    rank_interval: tuple[int, int] | None  # 95 %, from the significant differences to the others, by Holm
     interval: tuple[float, float] | None  # 95 %, of the mean
-    tie_group: int  # from 1; who shares it with the group's first cannot be told from the first
+    tie_group: int  # from 1; members do not differ significantly from the first of the group
 
 
 def places(values: Sequence[float], blocks: Sequence[Floats], most: float = np.inf) -> list[Place]:
     """The places of R competitors.
 
-    values: R means, which decide the order. They are equal where DIGITS digits are.
-    blocks: for each policy the competitors' episodes (R, E_g), NaN where one is not a number. An episode
-        counts where all competitors have a number.
-    most: the largest value that there can be; intervals end there.
+    values: R means, which give the order. They count as equal if DIGITS digits are.
+    blocks: for each policy the competitors' episodes (R, E_g), NaN if a value is not a number. An episode
+        counts if all competitors have a number.
+    most: the largest possible value, at which intervals end.
     """
     if not values:
         return []
@@ -82,10 +82,11 @@ def _units(blocks: Sequence[Floats]) -> Floats:
 
 
 def complete_part(scored: Mapping[Policy, Sequence[Explainer]]) -> tuple[list[Policy], list[Explainer]]:
-    """The policies and explainers to compare means over: every chosen pair was scored.
+    """The policies and explainers to compare means over, such that every pair was scored.
 
-    Of the policies with at least t explainers, and the explainers that all of these have, those of the t with
-    the most pairs. So a policy that few explained, or an explainer scored on few policies, shuts nobody out.
+    For each t, take the policies with at least t explainers, and the explainers that all of these have.
+    Returns those of the t with the most pairs. So a policy with few explainers, or an explainer scored on few
+    policies, does not exclude others.
     """
     best: tuple[list[Policy], list[Explainer]] = ([], [])
     for least in sorted({len(each) for each in scored.values()}):

@@ -1,10 +1,10 @@
 """From entries to the board: tables per cell and protocol, ranked within a policy; rankings over policies.
 
-Entries stand in one table only where protocol and cell are identical and the oracle was found in the same
-way: enumerated and sampled ones are never mixed. A policy in a team of another size than it was trained for
-is ranked in that cell, but not over all cells, where its training run would count twice. Within a policy
-rows are ranked by paired episodes; over policies, which are the units then, by the mean of the order, which
-is normalised for each policy (0 a random ranking, 1 the best one), unlike the paper's metrics.
+Entries share a table only if protocol, cell and the method of the oracle are identical: enumerated and sampled
+oracles are never mixed. A policy in a team of another size than in training is ranked in that cell, but not
+over all cells, where its training run would count twice. Within a policy, rows are ranked by paired episodes.
+Over policies, which are then the units, explainers are ranked by the mean of the order, which is normalised
+for each policy (0 a random ranking, 1 the best one), unlike the paper's metrics.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from xmarl_bench.board.columns import ORDER, PAPER, POLICY_METRICS
-from xmarl_bench.board.gate import shut_gate
+from xmarl_bench.board.gate import gate_reason
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.protocol import PROTOCOL
@@ -38,7 +38,7 @@ Json = dict[str, Any]
 class Group:
     """One policy in one table."""
 
-    file: str  # the first by name: its entry says what is the policy's
+    file: str  # the first by name, whose entry gives `policy`
     policy: Json
     rows: list[Json] = field(default_factory=list)
     controls: dict[str, Json] = field(default_factory=dict)
@@ -46,14 +46,14 @@ class Group:
 
     @property
     def ranked(self) -> list[Json]:
-        """What is ranked: no controls, nothing on a policy that is gated, nothing without a value."""
+        """The ranked rows: not controls, not those of gated policies, not those without a value."""
         if self.policy["gate"] is not None:
             return []
         return [row for row in self.rows if not row["control"] and value_of(row) is not None]
 
 
 def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
-    """(file, entry) pairs to the board as JSON; their order does not matter, and none is kept."""
+    """(file, entry) pairs -> the board as JSON. Their order does not matter, and no entry stays in memory."""
     protocols: dict[str, Json] = {}
     scopes: dict[bytes, Json] = {}
     grouped: dict[bytes, dict[tuple[str, str], Group]] = {}
@@ -105,13 +105,13 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
 
 
 def value_of(row: Json) -> float | None:
-    """The number that a row is ordered by; None where there is none."""
+    """The value that rows are ordered by; None if the row has none."""
     summary = row["metrics"][ORDER["by"]]
     return None if summary is None else summary["value"]
 
 
 def _policy(entry: Entry, cell: CellResult) -> Json:
-    """Task metrics are the policy's: the same in every row, for all play the same episodes."""
+    """The policy's record. Its task metrics are the same in every row, because all play the same episodes."""
     return {
         "name": entry.policy.name,
         "weights_sha256": entry.policy.weights_sha256,
@@ -120,7 +120,7 @@ def _policy(entry: Entry, cell: CellResult) -> Json:
         "trained_n_agents": entry.policy.n_agents,
         "oracle_error": None if cell.oracle is None else cell.oracle.error,
         "metrics": cell.metrics.model_dump(mode="json", include=set(POLICY_METRICS)),
-        "gate": shut_gate(cell.metrics),
+        "gate": gate_reason(cell.metrics),
     }
 
 
@@ -145,7 +145,7 @@ def _row(file: str, entry: Entry, k: int) -> Json:
 
 
 def _control_row(file: str, name: str, metrics: ControlMetrics) -> Json:
-    """A control that an entry carries; every entry of the policy carries the same."""
+    """A row for a control in an entry; all entries of a policy contain the same controls."""
     return {
         **_UNRANKED,
         "explainer": name,
@@ -188,7 +188,7 @@ def _shown(metrics: Metrics | ControlMetrics) -> Json:
 
 
 def _finish(group: Group) -> None:
-    """Take in the controls that have no entry of their own, sort best first, and rank."""
+    """Add the controls without an entry of their own, sort best first, and rank."""
     scored = {row["explainer"] for row in group.rows}
     group.rows += [row for name, row in group.controls.items() if name not in scored]
 
@@ -206,7 +206,7 @@ def _finish(group: Group) -> None:
 
 
 def _rankings(listed: Sequence[tuple[Json, Sequence[Group]]]) -> list[Json]:
-    """One over all tables of a protocol and kind of oracle, and one for each of their tasks and team sizes.
+    """A ranking over all tables of a protocol and method of the oracle, and one for each task and team size.
 
     The first is over policies in teams of the size that they were trained for.
     """
@@ -241,12 +241,13 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
     unranked = [
         _ranking_row(name, [each[name] for each in by_name if name in each], False) for name in partial
     ]
-    carried = [
+    control_rows = [
         [row for row in group.rows if row["control"] and value_of(row) is not None] for group in groups
     ]
-    _, controls = complete_part({k: [row["explainer"] for row in each] for k, each in enumerate(carried)})
-    controls_rows = [
-        _ranking_row(name, [row for each in carried for row in each if row["explainer"] == name], True)
+    scored_controls = {k: [row["explainer"] for row in each] for k, each in enumerate(control_rows)}
+    _, controls = complete_part(scored_controls)
+    ranked_controls = [
+        _ranking_row(name, [row for each in control_rows for row in each if row["explainer"] == name], True)
         for name in controls
     ]
     return {
@@ -257,13 +258,13 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
         ],
         "improvement": _improvement([pairs[k][0] for k in chosen], rows),
         "rows": sorted(
-            ranked + unranked + controls_rows, key=lambda row: (-row["value"], row["explainer"])
+            ranked + unranked + ranked_controls, key=lambda row: (-row["value"], row["explainer"])
         ),
     }  # fmt: skip
 
 
 def _improvement(scopes: Sequence[Json], rows: dict[str, list[Json]]) -> Json:
-    """How probable it is that a run of the one is better than one of the other in its cell, of every two."""
+    """For any two explainers, the probability that a run of one beats a run of the other in the same cell."""
     runs: dict[str, dict[str, list[float]]] = {name: {} for name in rows}
     for name, each in rows.items():
         for scope, value in zip(scopes, _values(each), strict=True):
@@ -301,14 +302,14 @@ def _values(rows: Sequence[Json]) -> list[float]:
 
 
 def _mean(rows: Sequence[Json], metric: str) -> float | None:
-    """Over rows; None where one has no number."""
+    """Mean over rows; None if one has no number."""
     summaries = [row["metrics"][metric] for row in rows]
     values = [s["value"] for s in summaries if s is not None and s["value"] is not None]
     return float(np.mean(values)) if len(values) == len(rows) else None
 
 
 def _table_order(scope: Json, protocol: Json) -> tuple[bool, str, int, int, int, bytes]:
-    """Those whose oracle is enumerated, then by cell, then the tables of more episodes first."""
+    """Order tables: those with an enumerated oracle first, then by cell, then those with more episodes first."""
     timesteps = protocol["timesteps"]
     return (
         scope["oracle"] == "sampled",

@@ -48,7 +48,7 @@ def test_the_numbers_are_of_the_shipped_policies() -> None:
     shipped = {name: load_card(folder).weights_sha256 for name, folder in find_policies().items()}
     for study in findings():
         if study["protocol"]["id"] != PROTOCOL:  # of another protocol, which the page must say
-            assert "**To be made anew.**" in (DOCS / PAGE).read_text(encoding="utf-8")
+            assert "**Outdated.**" in (DOCS / PAGE).read_text(encoding="utf-8")
             continue
         for policy in study["policies"]:
             assert shipped.get(policy["name"]) == policy["weights_sha256"], policy["name"]
@@ -113,7 +113,7 @@ def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     assert json.loads((tmp_path / DATA).read_text()) == [json.loads(json.dumps(findings_of(results)))]
     assert "## A title" in page
     assert "### Held: 1 of 1" in page
-    assert "Attention is better: **survives**, held through the one lens that touches it" in page
+    assert "Attention is better: **survives**, held through the one lens that applies to it" in page
     assert "Missing: passage, N = 5." in page
     assert "xmarl-bench study main --jobs 2 --episodes 4 --timesteps 3\n" in page
     with pytest.raises(InputError, match="run `xmarl-bench study` first"):

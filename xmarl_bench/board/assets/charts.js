@@ -1,11 +1,11 @@
-// Charts by Observable Plot, each with its numbers as a table for those who do not see it.
+// Charts by Observable Plot, each with its numbers as a table for screen readers.
 "use strict";
 
 const chartStyle = { background: "none", color: "var(--ink)", fontSize: "13px", overflow: "visible" };
 const chartWidth = (place) => Math.max(280, Math.min(900, place.clientWidth || 640));
 const SERIES = ["#0b62a8", "#c8552b", "#2f855a", "#8a4fbe", "#b08900", "#c2417c", "#2b8fa3", "#6b7280", "#7a5230", "#4a5bd0"];
 
-/** A table of numbers that belongs to a chart, folded away. */
+/** The table of a chart's numbers, collapsed. */
 function numbersTable(caption, headings, lines) {
   return element("details", {}, element("summary", {}, "The numbers"),
     element("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
@@ -25,7 +25,7 @@ function budgetChart(place, named, kind) {
   for (const name of ["oracle", "random"]) {
     (bounds?.[name] ?? []).forEach(([value], k) => points.push({ name, k: k + 1, value }));
   }
-  if (!points.length) return [element("p", { class: "dim" }, "These entries hold no budgets of this kind: they are older than budgets, or there are too few agents.")];
+  if (!points.length) return [element("p", { class: "dim" }, "These entries have no such budgets: they are too old, or the team is too small.")];
   const explained = named.map(([name]) => name);
   const names = [...(bounds ? ["oracle", "random"] : []), ...explained];
   const bound = (point) => point.name === "oracle" || point.name === "random";
@@ -76,7 +76,7 @@ function profileChart(place, ranking, chosen, heading) {
   return [chart, numbersTable(`Probability that ${chosen} does better`, ["than", "probability"], lines)];
 }
 
-/** Gaussian kernel density of values on a grid, by Silverman's rule; null where all values are the same. */
+/** Gaussian kernel density of values on a grid, by Silverman's rule; null if all values are equal. */
 function density(values, steps = 60) {
   const spread = Math.min(d3.deviation(values) ?? 0, (d3.quantile(values, 0.75) - d3.quantile(values, 0.25)) / 1.34 || Infinity);
   if (!(spread > 0)) return null;
@@ -91,7 +91,7 @@ function density(values, steps = 60) {
 /** Violins side by side. samples: [{group, side: "A" | "B", values}]. */
 function violinChart(place, samples, heading) {
   const full = samples.filter(({ values }) => values.length);
-  if (!full.length) return [element("p", { class: "dim" }, "Neither selection has a number of this metric.")];
+  if (!full.length) return [element("p", { class: "dim" }, "Neither selection has values of this metric.")];
   const groups = [...new Set(full.map(({ group }) => group))];
   const areas = [], middles = [], quartiles = [];
   for (const { group, side, values } of full) {

@@ -1,7 +1,7 @@
-// What both pages need: the board unpacked, elements, numbers, and scripts of policies loaded when asked for.
+// Shared by both pages: the board's data, elements, numbers, and loading the scripts of policies on demand.
 "use strict";
 
-/** An element; properties that are no strings (listeners, values) are set as such, children may be text. */
+/** An element. Functions among the attributes become event listeners; children may be text. */
 function element(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
@@ -19,7 +19,7 @@ const number = (value, digits = 3) =>
 const METRICS = BOARD.columns.map(([name]) => name);
 const HEADINGS = Object.fromEntries(BOARD.columns);
 
-/** The rows of the board as objects, each knowing its policy and table. */
+/** The rows of the board as objects, each with its policy and table. */
 const rows = BOARD.rows.map((row) => {
   const policy = BOARD.policies[row[0]];
   return {
@@ -30,7 +30,7 @@ const rows = BOARD.rows.map((row) => {
   };
 });
 
-/** What a metric is called where a way to read it stands beside: without the arrow. */
+/** The heading of a metric without its arrow. */
 const plainHeading = (name) => (HEADINGS[name] ?? name.replaceAll("_", " ")).replace(/ [\u2191\u2193]$/, "");
 
 const describeProtocol = (key) => {
@@ -44,14 +44,14 @@ const letter = (group) => {
   return text;
 };
 
-/** "1", with the interval and the letter of the tie group where there are any. */
+/** The rank, with its interval and the letter of the tie group if it has them. */
 function placeNode(rank, interval, tie) {
   if (rank === null) return element("span", { class: "none" }, "\u2013");
   const text = interval === null ? "" : interval[0] === interval[1] ? ` [${interval[0]}]` : ` [${interval[0]}\u2013${interval[1]}]`;
   return element("span", {}, String(rank), element("small", {}, text), element("sup", { class: "tie", title: "tie group" }, letter(tie)));
 }
 
-/** A value with its interval as text (which a narrow cell leaves to screen readers) and as a bar over `domain`. */
+/** A value with its interval as text (in narrow cells for screen readers only) and as a bar over `domain`. */
 function intervalNode(value, low, high, domain, narrow = false, digits = 3) {
   if (value === null) return element("span", { class: "none" }, "NaN");
   const known = low !== null && low !== undefined;
@@ -76,7 +76,7 @@ function intervalNode(value, low, high, domain, narrow = false, digits = 3) {
 }
 
 const BADGES = {
-  unverified: "as submitted: nobody has recomputed it",
+  unverified: "as submitted, not recomputed",
   recomputed: "means recomputed from the episodes",
   "spot-rerun": "some episodes played and explained again",
   "re-executed": "all episodes played and explained again",
@@ -112,7 +112,7 @@ function loadDetails(policy) {
   return loading[policy.key];
 }
 
-/** Show in `place` what `make` promises, unless it was asked again meanwhile, or the sentence of an error. */
+/** Show in `place` the elements that `make` returns, or its error. A later call for the same place wins. */
 async function show(place, make) {
   const turn = (place.turn = (place.turn ?? 0) + 1);
   let made;

@@ -1,14 +1,14 @@
-"""A comparative statement as data: what is compared with what, in which cells, and what "holds" would mean.
+"""Comparative statements as data: what is compared, in which cells, and when the statement holds.
 
-A statement is a set of contrasts "a is better than b on a metric", judged cell by cell, and a word for how
-many of the cells it speaks of. The words are the paper's, the rules are ours:
+A statement is a set of contrasts "a is better than b on a metric", judged cell by cell, with a quantifier
+over cells. Quantifiers are the paper's words, the rules are ours:
 
-- EVERY ("consistently", "across all"): held where every cell has it; not held as soon as one has the reverse.
-- MOST ("tends to"): held in more than half of the cells; not held where the reverse holds in half or more.
-- MIXED: held where at least one cell goes up and one down; not held where all are decided the same way.
-- TOGETHER: judged once, on the policies of all cells; for controls: entries keep one mean per policy of them.
+- EVERY ("consistently", "across all"): held if it holds in every cell; not held if a cell shows the reverse.
+- MOST ("tends to"): held if it holds in over half of the cells; not held if the reverse does in half.
+- MIXED: held if at least one cell goes up and one down; not held if all are decided the same way.
+- TOGETHER: judged once, on the policies of all cells; for controls, with one mean per policy in entries.
 
-Cells that are missing or were not measured are left out of this and counted.
+Cells that are missing or were not measured are skipped and counted.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from enum import StrEnum
 
 from xmarl_bench.metrics.table import METRICS, OF_POLICIES, Direction, names_of
 
-# What more of is better, +1 or -1. The paper wants D(alpha) wide and attention entropy low.
+# +1 if a higher value is better, -1 if a lower one is. The paper wants a high D(alpha) and a low attention
+# entropy.
 ORIENTATION: dict[str, int] = {
     metric.name: 1 if metric.direction is Direction.HIGHER else -1
     for metric in METRICS
     if metric.direction is not Direction.NONE
 } | {"attention_distance": 1, "attention_entropy": -1}
-OF_THE_POLICY = names_of(*OF_POLICIES)  # every explainer's entry has them alike
+OF_THE_POLICY = names_of(*OF_POLICIES)  # the same in every explainer's entry
 
 
 class Quantifier(StrEnum):
@@ -41,7 +42,7 @@ class Relation(StrEnum):
 
 
 class Combine(StrEnum):
-    """How the contrasts of one cell make its verdict."""
+    """How the contrasts of a cell combine to its verdict."""
 
     ALL = "all"
     ANY = "any"
@@ -49,12 +50,12 @@ class Combine(StrEnum):
 
 @dataclass(frozen=True)
 class Cell:
-    """Where a statement is judged. None leaves a field to the terms."""
+    """A cell of a study, in which a statement is judged. None: the terms set this field."""
 
     task: str
     n_trained: int
     more: int | None = 0  # agents more than in training
-    percent: int | None = None  # of training; None is the finished policy
+    percent: int | None = None  # of training; None: the finished policy
     regularised: bool | None = None
 
     @property
@@ -71,7 +72,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Term:
-    """One set of episodes: an explainer on the policies of a cell. What is set here overrides the cell."""
+    """One set of episodes: an explainer on the policies of a cell. Fields set here override the cell's."""
 
     explainer: str
     regularised: bool | None = None
@@ -81,7 +82,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Side:
-    """A term, or by how much one term is above another: an improvement, a lead."""
+    """A term, or the difference of two terms: an improvement or a lead."""
 
     term: Term
     minus: Term | None = None
@@ -93,7 +94,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Contrast:
-    """a is better than b on the metric (BETTER); or the other relations."""
+    """A relation between a and b on a metric; BETTER: a is better than b."""
 
     metric: str
     a: Side
@@ -103,7 +104,7 @@ class Contrast:
 
     @property
     def label(self) -> str:
-        """What is compared, without the explainer where the metric is the policy's."""
+        """What is compared; without the explainer if the metric depends on the policy only."""
         one, other = self.a, self.b
         if one.minus is not None or other.minus is not None:
             return f"{_named(one)} against {_named(other)}"
@@ -136,7 +137,7 @@ def _named(side: Side) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement of the paper and its place."""
+    """One statement of the paper, and where it is made."""
 
     id: str
     lines: str  # of paper.tex
@@ -153,14 +154,14 @@ class Claim:
             assert (contrast.relation is Relation.BETTER) == (contrast.margin == 0.0), self.id
 
 
-# The explainers of the paper by registered name: the paper's GraphMask is that of torch_geometric.
+# The paper's explainers by registered name: its GraphMask is torch_geometric's.
 ATTENTION, GNN, GRAPHMASK = "attention", "gnn_explainer", "graphmask-pyg"
 PAPER_EXPLAINERS = (ATTENTION, GNN, GRAPHMASK)
-# The same three in variants that the paper did not have: attention divided by its row maximum, GNNExplainer
-# tuned, GraphMask as its own paper describes it.
-MENDED = {ATTENTION: "attention-rowmax", GNN: "gnn_explainer-tuned", GRAPHMASK: "graphmask"}
+# Variants that the paper does not have: attention divided by its row maximum, tuned GNNExplainer, and
+# GraphMask as its own paper describes it.
+VARIANTS = {ATTENTION: "attention-rowmax", GNN: "gnn_explainer-tuned", GRAPHMASK: "graphmask"}
 
-# 0.02 is 1 % of the range of an action, [-1, 1]: a smaller change counts as none.
+# 1 % of the range of an action, [-1, 1]: smaller changes do not count.
 FIDELITY_MARGIN = 0.02
 RATE_MARGIN = 0.05  # of a success or collision rate
 
@@ -192,12 +193,12 @@ def worsens(explainer: str, metric: str) -> Contrast:
 
 
 def unmoved(explainer: str, metric: str, margin: float = FIDELITY_MARGIN) -> Contrast:
-    """Regularised and unregularised policies alike."""
+    """No difference between regularised and unregularised policies."""
     return Contrast(metric, Side(Term(explainer, True)), Side(Term(explainer, False)), Relation.SAME, margin)
 
 
 def keeps(metric: str, margin: float, explainer: str = ATTENTION) -> Contrast:
-    """The regularised policies no worse. Task metrics are the policy's: any explainer's entry has them."""
+    """The regularised policies no worse. For task metrics, any explainer's entry gives the same values."""
     return Contrast(
         metric, Side(Term(explainer, True)), Side(Term(explainer, False)), Relation.NO_WORSE, margin
     )

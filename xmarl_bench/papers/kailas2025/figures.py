@@ -1,7 +1,7 @@
 """Violin plots like the paper's: a panel per cell, the explainers side by side, without and with the term.
 
 A violin is the distribution over the episodes of all policies of the cell, the bar its mean. Text and axes
-are drawn in one ink, which is black enough for print and, in the SVG, follows the reader's colour scheme.
+have one colour, nearly black for print; in the SVG it follows the reader's colour scheme.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.papers.kailas2025.claims import MENDED, ORIENTATION, PAPER_EXPLAINERS, Cell, Term
+from xmarl_bench.papers.kailas2025.claims import ORIENTATION, PAPER_EXPLAINERS, VARIANTS, Cell, Term
 from xmarl_bench.papers.kailas2025.results import StudyData
 from xmarl_bench.papers.kailas2025.samples import Floats, pooled
 from xmarl_bench.papers.kailas2025.tables import METRIC_NAMES
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 METRICS = ("fid_delta", "gef", "fid_plus", "fid_minus", "comm_budgeted_fidelity")
 INK = "#1b1b1c"  # replaced in the SVG, so no other element may have this colour
-# The paper's blue and orange, of a palette that colour-blind people tell apart.
+# The paper's blue and orange, which colour-blind people can distinguish.
 WITHOUT, WITH = "#0072b2", "#e69f00"
 STYLE = (
     f"<style>svg{{color-scheme:light dark;color:{INK}}}"
@@ -43,7 +43,7 @@ class Figure:
 
 
 def check_matplotlib() -> None:
-    """Raises InputError where the optional package that draws is not installed."""
+    """Raise InputError if matplotlib, an optional dependency, is not installed."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -57,7 +57,7 @@ def figures_of(data: StudyData) -> Iterator[Figure]:
     """A figure per metric and set of explainers: the paper's, their variants, and any others."""
     sets = {
         "paper": [name for name in PAPER_EXPLAINERS if name in data.explainers],
-        "variants": [MENDED[name] for name in PAPER_EXPLAINERS if MENDED[name] in data.explainers],
+        "variants": [VARIANTS[name] for name in PAPER_EXPLAINERS if VARIANTS[name] in data.explainers],
     }
     drawn = {name for names in sets.values() for name in names}
     sets["others"] = [name for name in data.explainers if name not in drawn]
@@ -94,10 +94,10 @@ def draw(data: StudyData, metric: str, kind: str, explainers: Sequence[str]) -> 
             labels=["without the term", "with the term"],
             loc="outside lower center", ncols=2, frameon=False,
         )  # fmt: skip
-        # Without dates the same entries give the same bytes.
+        # No dates, so that the same entries give the same bytes.
         svg, pdf = io.StringIO(), io.BytesIO()
         canvas.savefig(svg, format="svg", transparent=True, metadata={"Date": None})
-        canvas.set_layout_engine("none")  # as laid out
+        canvas.set_layout_engine("none")  # keep the layout of the SVG
         canvas.savefig(pdf, format="pdf", metadata={"CreationDate": None})
     return Figure(
         f"{metric}-{kind}",
@@ -126,7 +126,7 @@ def _panel(panel: Axes, data: StudyData, cell: Cell, metric: str, explainers: Se
 
 
 def _violin(panel: Axes, values: Floats, at: float, colour: str) -> None:
-    """Its outline needs values that differ; a distribution of one value is the bar alone."""
+    """Draw a violin; only its bar if all values are equal."""
     if np.ptp(values) > 1e-9:
         bodies: Any = panel.violinplot([values], [at], widths=0.36, showextrema=False)["bodies"]
         for body in bodies:
@@ -135,7 +135,7 @@ def _violin(panel: Axes, values: Floats, at: float, colour: str) -> None:
 
 
 def adaptive(svg: str) -> str:
-    """The SVG element alone, its ink that of the reader's colour scheme."""
+    """The SVG element only, with INK replaced by the colour of the reader's scheme."""
     svg = svg[svg.index("<svg") :]
     end = svg.index(">") + 1
     head = svg[:end].replace("<svg", '<svg role="img"', 1)

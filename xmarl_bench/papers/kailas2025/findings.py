@@ -1,9 +1,9 @@
-"""docs/findings.md: what holds of the paper's conclusions, in sentences with their numbers.
+"""Writes docs/findings.md: which of the paper's conclusions hold, in sentences with their numbers.
 
     python -m xmarl_bench.papers.kailas2025.findings study/main study/training study/zero-shot
 
-Reads results.json of each folder and writes docs/findings.json, the small file that is committed, and
-docs/findings.md, which is a function of it. No number and no verdict is typed.
+Reads results.json of each folder, and writes docs/findings.json, a small file that is committed, and
+docs/findings.md, which is a function of it. No number or verdict is typed by hand.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ CONTRAST = (
 
 
 def findings_of(results: Json) -> Json:
-    """What the page needs of a study's results: no values cell by cell."""
+    """The part of a study's results that the page needs, without values cell by cell."""
     return {
         **{name: results[name] for name in KEPT},
         "ledger": [_brief(claim) for claim in results["ledger"]],
@@ -59,7 +59,7 @@ def findings_of(results: Json) -> Json:
 
 
 def page_of(findings: list[Json]) -> str:
-    """The Markdown page of some studies."""
+    """The Markdown page of the studies."""
     environment = Environment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
@@ -85,7 +85,7 @@ def page_of(findings: list[Json]) -> str:
 
 
 def through_lenses(findings: Json, claim: Json) -> Json:
-    """The lenses under which a statement held, was reversed, stayed open; those not measured are left out."""
+    """The lenses under which a statement held, was reversed or stayed open. Skips those not measured."""
     seen = [
         (lens["name"], each)
         for lens in findings["lenses"]
@@ -103,7 +103,7 @@ def through_lenses(findings: Json, claim: Json) -> Json:
 
 
 def survival(findings: Json) -> list[Json]:
-    """Statements that held as in the paper and that a lens touches."""
+    """Statements that held as in the paper, and to which a lens applies."""
     held = [claim for claim in findings["ledger"] if claim["verdict"] == Verdict.HELD]
     return [seen for seen in (through_lenses(findings, claim) for claim in held) if seen["n"]]
 
@@ -125,14 +125,14 @@ def headlines(findings: Json) -> str:
 
 
 def sentence(claim: Json) -> str:
-    """The statement, where it stands, and its numbers."""
+    """The statement, its lines in the paper, and its numbers."""
     lines = claim["lines"]
     place = "" if lines == "-" else f"line{'' if lines.isdecimal() else 's'} {lines}; "
     return f"{claim['text']} ({place}asked of {claim['quantifier']}): {numbers(claim)}."
 
 
 def numbers(claim: Json) -> str:
-    """Cells of each verdict, and over all policies the comparison that the verdict hangs on."""
+    """The number of cells of each verdict, and the decisive comparison over all policies."""
     counts, shown = claim["counts"], decisive(claim)
     n = sum(counts.values())
     parts = [f"{counts[verdict]} {word}" for verdict, word in _COUNTED if counts[verdict]]
@@ -152,7 +152,7 @@ _COUNTED = (
 
 
 def command(findings: Json) -> str:
-    """What scores the same states again."""
+    """The command that scores the same states again."""
     protocol = findings["protocol"]
     options = [f"--episodes {protocol['episodes']}"] if protocol["episodes"] != Sampling.episodes else []
     options += [] if protocol["timesteps"] is None else [f"--timesteps {protocol['timesteps']}"]
@@ -175,7 +175,7 @@ def _brief(claim: Json) -> Json:
 
 
 def _seen(claim: Json) -> Json:
-    """Through a lens: who it is and what its verdict hangs on."""
+    """A statement through a lens: its id, verdict and decisive comparison."""
     return {
         **{name: claim[name] for name in ("id", "verdict", "counts")},
         "overall": [_kept(decisive(claim))],
@@ -187,7 +187,7 @@ def _kept(contrast: Json) -> Json:
 
 
 def read_results(folder: Path) -> Json:
-    """results.json of a study's folder. Raises InputError."""
+    """Read results.json of a study's folder. Raises InputError if it is missing or of another schema."""
     path = folder / "results.json"
     try:
         results: Json = json.loads(path.read_bytes())
@@ -200,9 +200,9 @@ def read_results(folder: Path) -> Json:
 
 def main(
     folders: Annotated[list[Path], typer.Argument(help="Folders of studies, in the order of the page.")],
-    out: Annotated[Path, typer.Option(help="Where findings.json and findings.md go.")] = Path("docs"),
+    out: Annotated[Path, typer.Option(help="Folder of findings.json and findings.md.")] = Path("docs"),
 ) -> None:
-    """Write the findings of some studies."""
+    """Write the findings of the studies."""
     findings = [findings_of(read_results(folder)) for folder in folders]
     write_json(out / DATA, findings)
     write_atomically(out / PAGE, page_of(json.loads((out / DATA).read_bytes())).encode())

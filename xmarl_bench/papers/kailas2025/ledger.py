@@ -1,12 +1,12 @@
 """Judges statements on samples: held, not held or not decided, with the numbers.
 
-The training run is the unit: a contrast holds by the paired t-test over runs, p under 0.05 after Bonferroni
-over the tests of the statement. "The same" and "no worse" hold where Student's interval of the mean
-difference is within the margin. They are refuted by the same test of a difference beyond the margin, after
-Bonferroni too: without it one of nine cells is beyond by chance in one statement of five. Differences are
-signed so that positive is what the statement says. The paper's own test, Mann-Whitney U of the pooled
-episodes of all runs, takes episodes of one run for independent runs and decides nothing here; its effect
-size stands beside the difference.
+The training run is the unit. A contrast holds by the paired t-test over runs, p under 0.05 after Bonferroni
+over the tests of the statement. "The same" and "no worse" hold if Student's interval of the mean difference
+is within the margin. They are refuted by the same test of a difference beyond the margin, also after
+Bonferroni: without it, chance puts one of nine cells beyond the margin in one of five statements. Differences
+are positive in the direction of the statement. The paper's own test, Mann-Whitney U of the pooled episodes of
+all runs, treats episodes of one run as independent runs, so it decides nothing here; only its effect size is
+reported.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Compared:
     interval: tuple[float, float] | None
     p: float | None  # of the paired t-test over runs
     effect: float | None  # rank-biserial correlation of the episodes, in [-1, 1]
-    p_beyond: float | None = None  # of the same test of a difference beyond the margin; 1 where it is within
+    p_beyond: float | None = None  # of the same test of a difference beyond the margin; 1 if it is within
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Judged:
 
 @dataclass
 class Judge:
-    """Judges claims on the same samples; what several claims ask is compared once."""
+    """Judges claims on the same samples. A comparison that several claims need is computed once."""
 
     samples: Samples
     known: dict[tuple[Contrast, tuple[Cell, ...]], Compared] = field(default_factory=dict)
@@ -122,7 +122,7 @@ class Judge:
 
 
 def compare(a: Blocks, b: Blocks, orientation: int, margin: float = 0.0) -> Compared:
-    """Two lists of (E,) arrays, one pair per policy; orientation -1 where less is better."""
+    """Compare two lists of (E,) arrays, one pair per policy. orientation: -1 if lower is better."""
     oriented = [orientation * x for x in a], [orientation * x for x in b]
     difference = over_runs(*oriented)
     beyond = None
@@ -153,7 +153,7 @@ def compare(a: Blocks, b: Blocks, orientation: int, margin: float = 0.0) -> Comp
 def decide(
     contrast: Contrast, compared: Compared, p_adjusted: float | None, p_beyond: float | None = None
 ) -> Verdict:
-    """NOT_HELD is that the reverse was shown, not that nothing was. p_beyond: adjusted, of a margin."""
+    """The verdict of a contrast; NOT_HELD: the reverse was shown. p_beyond: adjusted, for a margin."""
     if compared.difference is None:
         return Verdict.NOT_MEASURED
     if compared.interval is None:
@@ -173,7 +173,7 @@ def decide(
 
 
 def combine(verdicts: Sequence[Verdict], how: Combine) -> Verdict:
-    """The verdict of a cell out of those of its contrasts."""
+    """The verdict of a cell from those of its contrasts."""
     if Verdict.NOT_MEASURED in verdicts:
         return Verdict.NOT_MEASURED
     first, last = (Verdict.NOT_HELD, Verdict.HELD) if how is Combine.ALL else (Verdict.HELD, Verdict.NOT_HELD)
@@ -183,7 +183,7 @@ def combine(verdicts: Sequence[Verdict], how: Combine) -> Verdict:
 
 
 def quantify(verdicts: Sequence[Verdict], quantifier: Quantifier) -> Verdict:
-    """The verdict of a statement out of those of its cells; see xmarl_bench.papers.kailas2025.claims."""
+    """The verdict of a statement from those of its cells, see xmarl_bench.papers.kailas2025.claims."""
     n = len(verdicts) - verdicts.count(Verdict.NOT_MEASURED)
     held, reverse = verdicts.count(Verdict.HELD), verdicts.count(Verdict.NOT_HELD)
     if n == 0:
@@ -198,7 +198,7 @@ def quantify(verdicts: Sequence[Verdict], quantifier: Quantifier) -> Verdict:
 
 
 def _judged(contrasts: Sequence[Contrast], compared: Sequence[Compared]) -> tuple[JudgedContrast, ...]:
-    """All that a statement asks: it is one family of tests."""
+    """Judge all contrasts of a statement, which are one family of tests."""
     adjusted = _adjusted([each.p for each in compared])
     beyond = _adjusted([each.p_beyond for each in compared])
     return tuple(
@@ -208,6 +208,6 @@ def _judged(contrasts: Sequence[Contrast], compared: Sequence[Compared]) -> tupl
 
 
 def _adjusted(p: Sequence[float | None]) -> list[float | None]:
-    """Bonferroni over the tests that were made."""
+    """p-values after Bonferroni over the tests made."""
     values = iter(bonferroni([each for each in p if each is not None]).tolist())
     return [None if each is None else next(values) for each in p]

@@ -1,6 +1,6 @@
-"""The same ledger through what the paper could not see: other variants of its explainers, other metrics.
+"""The same ledger with variants of the explainers and metrics that the paper does not have.
 
-A lens exchanges explainers and metrics in a statement. A statement that it does not touch is left out of it.
+A lens replaces explainers and metrics in a statement. It omits statements that it does not change.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from xmarl_bench.papers.kailas2025.claims import (
     ATTENTION,
     GNN,
     GRAPHMASK,
-    MENDED,
     OF_THE_POLICY,
     RATE_MARGIN,
+    VARIANTS,
     Claim,
     Contrast,
     Relation,
@@ -31,7 +31,7 @@ SHARES = (
     "budgeted_fidelity",
     "comm_budgeted_fidelity",
     "behavioural_fidelity",
-)  # of about 1, not of an action
+)  # scaled to about 1, not in action units
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Lens:
     metrics: Mapping[str, str] = field(default_factory=dict)
 
     def apply(self, claim: Claim) -> Claim | None:
-        """The statement seen so; None where nothing of it changes, or where a simpler lens does the same."""
+        """The statement through the lens; None if nothing changes, or if a simpler lens does the same."""
         seen = replace(claim, contrasts=tuple(self._contrast(each) for each in claim.contrasts))
         names = {
             term.explainer for each in claim.contrasts for side in (each.a, each.b) for term in side.terms
@@ -56,7 +56,7 @@ class Lens:
         return seen
 
     def _contrast(self, contrast: Contrast) -> Contrast:
-        if contrast.metric in OF_THE_POLICY:  # no explainer has a part in it
+        if contrast.metric in OF_THE_POLICY:
             return contrast
         metric = self.metrics.get(contrast.metric, contrast.metric)
         margin = contrast.margin
@@ -85,10 +85,10 @@ BEHAVIOUR = Lens(
     {"fid_delta": "behavioural_fidelity"},
 )
 LENSES = (
-    Lens("corrected GraphMask", "GraphMask after its own paper", {GRAPHMASK: MENDED[GRAPHMASK]}),
-    Lens("tuned GNNExplainer", "GNNExplainer from zero with a larger learning rate", {GNN: MENDED[GNN]}),
-    Lens("attention / row max", "attention divided by its row maximum", {ATTENTION: MENDED[ATTENTION]}),
-    Lens("all three variants", "these three together", MENDED),
+    Lens("corrected GraphMask", "GraphMask after its own paper", {GRAPHMASK: VARIANTS[GRAPHMASK]}),
+    Lens("tuned GNNExplainer", "GNNExplainer from zero with a larger learning rate", {GNN: VARIANTS[GNN]}),
+    Lens("attention / row max", "attention divided by its row maximum", {ATTENTION: VARIANTS[ATTENTION]}),
+    Lens("all three variants", "these three together", VARIANTS),
     Lens(
         "budgeted fidelity",
         "budgeted fidelity in place of FidDelta: the ranking of edges alone",
@@ -107,7 +107,7 @@ LENSES = (
     Lens(
         "variants by communication-only budgeted",
         "the three variants, by communication-only budgeted fidelity",
-        MENDED,
+        VARIANTS,
         COMMUNICATION_BUDGETED,
     ),
     BEHAVIOUR,

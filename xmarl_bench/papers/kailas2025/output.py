@@ -17,7 +17,7 @@ TEMPLATE = Path(__file__).with_name("report.html.jinja")
 
 
 def write_study(folder: Path, data: StudyData, *, figures: bool = True) -> dict[str, Any]:
-    """Everything derived from the entries; the page last, so that a new page speaks of new files."""
+    """Write everything derived from the entries. The page comes last, so that its files exist."""
     results = results_of(data)
     write_json(folder / "results.json", results)
     tables = tables_of(results)
@@ -33,7 +33,7 @@ def write_study(folder: Path, data: StudyData, *, figures: bool = True) -> dict[
 
 
 def render(results: dict[str, Any], tables: Sequence[Table], figures: Sequence[Figure]) -> str:
-    """One page that loads nothing."""
+    """The page, which loads no other files."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

@@ -1,8 +1,8 @@
 """Task performance as Kailas, Jain and Ravichandar (ICML 2025) report it: mean and standard deviation.
 
 Tables AllTasksPerformance (main), TrainingIterationPerformance and ZeroShotPerformance (appendix). Every cell
-is a pair, without and with attention-entropy minimisation. Discovery reports no collisions and navigation has
-no walls.
+is a pair, without and with attention-entropy minimisation. The paper reports no collisions for discovery;
+navigation has no walls.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ NAVIGATION, PASSAGE, DISCOVERY = "blind_navigation_v0", "blind_passage_v0", "bli
 
 
 class Reported(NamedTuple):
-    """Over 50 episodes."""
+    """A measure over 50 episodes."""
 
     mean: float
     std: float

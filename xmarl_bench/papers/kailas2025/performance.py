@@ -1,4 +1,4 @@
-"""Task performance in the layout of the paper's tables: ours beside theirs, mean and standard deviation."""
+"""Task performance in the layout of the paper's tables: mean and standard deviation, ours and the paper's."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xmarl_bench.papers.kailas2025.samples import Samples, pooled
 
 
 def reported(cell: Cell) -> Performance | None:
-    """What the paper has for a cell; None where it has nothing."""
+    """The paper's numbers for a cell; None if it has none."""
     if cell.percent is not None:
         return TRAINING.get(cell.percent)
     if cell.more:
@@ -20,7 +20,7 @@ def reported(cell: Cell) -> Performance | None:
 
 
 def performance(samples: Samples, cells: tuple[Cell, ...]) -> list[dict[str, Any]]:
-    """A record per cell, with or without the term, and measure: over the episodes of all training runs."""
+    """Records over the episodes of all training runs: per cell and measure, without and with the term."""
     records: list[dict[str, Any]] = []
     for cell in cells:
         paper = reported(cell) or {}

@@ -1,4 +1,4 @@
-"""The three studies: which policies in which cells, and what they are asked."""
+"""The three studies: their policies, cells and statements."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.papers.kailas2025 import main_claims, training_claims, zero_shot_claims
 from xmarl_bench.papers.kailas2025.beyond_claims import BEYOND_CLAIMS
-from xmarl_bench.papers.kailas2025.claims import MENDED, PAPER_EXPLAINERS, Cell, Claim
+from xmarl_bench.papers.kailas2025.claims import PAPER_EXPLAINERS, VARIANTS, Cell, Claim
 from xmarl_bench.papers.kailas2025.main_claims import MAIN_CLAIMS
 from xmarl_bench.papers.kailas2025.paper import NAVIGATION, TRAINING
 from xmarl_bench.papers.kailas2025.samples import percent_of
@@ -22,12 +22,12 @@ from xmarl_bench.rollout.cell import Sampling
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.selection import ALL, select_policies
 
-EXPLAINERS = (*PAPER_EXPLAINERS, *(MENDED[name] for name in PAPER_EXPLAINERS))
+EXPLAINERS = (*PAPER_EXPLAINERS, *(VARIANTS[name] for name in PAPER_EXPLAINERS))
 
 
 @dataclass(frozen=True)
 class Study:
-    """Rows and columns are those of its figures, as in the paper."""
+    """A study. columns: of its figures, as in the paper."""
 
     name: str
     title: str
@@ -37,7 +37,7 @@ class Study:
     beyond: tuple[Claim, ...] = ()
 
 
-# The finished policies are shown beside the paper's three moments of training.
+# Finished policies are shown together with the paper's three checkpoints of training.
 FINISHED = Cell(NAVIGATION, training_claims.N_AGENTS)
 STUDIES = {
     study.name: study
@@ -70,14 +70,14 @@ QUICK = Sampling(episodes=4, timesteps=4)
 
 
 def select_study_explainers(more: Sequence[str]) -> list[Explainer]:
-    """Those of the ledgers, and more."""
+    """The explainers that the ledgers compare, and `more`."""
     return [find_explainer(name) for name in dict.fromkeys((*EXPLAINERS, *more))]
 
 
 def select_study_policies(study: Study, names: Sequence[str]) -> list[tuple[Policy, PolicyCard, Cell]]:
     """Each policy with every cell of the study that it belongs to, cell by cell.
 
-    Raises InputError where none belongs to any.
+    Raises InputError if no policy belongs to a cell.
     """
     policies = [(policy, card) for policy, card, _ in select_policies(names, [ALL], [ALL])]
     chosen = [
@@ -103,13 +103,13 @@ def plan(
 ) -> list[Request]:
     """One request per policy, cell and explainer; one cell per entry.
 
-    behaviour: explainers on whose masks the team also plays, or ALL. Raises InputError for a name that is
-    none of them.
+    behaviour: explainers whose masks the team also plays on, or ALL. Raises InputError for the name of
+    another explainer.
     """
     known = [explainer.name for explainer in explainers]
     for name in behaviour:
         if name != ALL and name not in known:
-            raise unknown("explainer", name, [*known, ALL], "for those are what is scored")
+            raise unknown("explainer", name, [*known, ALL], "the explainers of this study")
     return [
         Request(
             policy,

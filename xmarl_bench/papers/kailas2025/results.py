@@ -1,6 +1,6 @@
-"""results.json of a study: everything that its tables, figures' captions and the findings say.
+"""results.json of a study: all data of its tables, captions and findings.
 
-Derived from entries alone, without times or paths: the same entries give the same bytes.
+Derived from entries only, without times or paths: the same entries give the same bytes.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from xmarl_bench.board.gate import shut_gate
+from xmarl_bench.board.gate import gate_reason
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.metrics.statistics import student_interval
 from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Claim, Term
@@ -33,7 +33,7 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True)
 class StudyData:
-    """What a study has scored."""
+    """The entries of a study."""
 
     study: Study
     explainers: tuple[str, ...]
@@ -70,7 +70,7 @@ def results_of(data: StudyData) -> Json:
 
 
 def quality(data: StudyData) -> list[Json]:
-    """Mean of a metric over policies, with its interval, by cell, with or without the term, and explainer."""
+    """Means of metrics over policies, with intervals, by cell, without or with the term, and by explainer."""
     records = []
     for cell in data.study.cells:
         for regularised in (False, True):
@@ -101,7 +101,7 @@ def quality(data: StudyData) -> list[Json]:
 
 
 def missing(data: StudyData) -> list[str]:
-    """Cells that no policy stands for."""
+    """Cells without a policy."""
     absent = []
     for cell in data.study.cells:
         for regularised in (False, True):
@@ -123,7 +123,7 @@ def _explainers(data: StudyData) -> Json:
 
 
 def _policies(data: StudyData) -> list[Json]:
-    """In each cell; the gate says why the leaderboard would not rank it."""
+    """The policies in each cell; `gate` is the reason why the leaderboard would not rank one."""
     known: dict[tuple[str, int], Json] = {}
     for card, entry in data.pairs:
         (cell,) = entry.results
@@ -136,7 +136,7 @@ def _policies(data: StudyData) -> list[Json]:
             "percent": percent_of(card),
             "attention_entropy": card.attention_entropy,
             "training_seed": card.training_seed,
-            "gate": shut_gate(cell.metrics),
+            "gate": gate_reason(cell.metrics),
         }
     return [known[key] for key in sorted(known)]
 

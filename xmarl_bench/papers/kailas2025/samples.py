@@ -1,8 +1,8 @@
-"""Entries as numbers to compare: per cell, explainer and training run one value of a metric per episode.
+"""Entries as samples: per cell, explainer and training run, one value of a metric per episode.
 
-What sets training runs of a cell apart is architecture, weight lambda of the attention-entropy term and seed.
-A regularised run is compared with the run of the same architecture and seed without the term, episode by
-episode: scoring plays the same starts with every policy.
+Architecture, weight lambda of the attention-entropy term, and seed identify a training run of a cell. A
+regularised run is compared with the run of the same architecture and seed without the term, episode by
+episode: scoring starts all policies from the same states.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Place:
-    """What was trained for how long and how many agents it is tested with."""
+    """The task and length of a training, and the team sizes in training and test."""
 
     task: str
     n_trained: int
@@ -51,7 +51,7 @@ class Place:
 
     @classmethod
     def of(cls, cell: Cell, term: Term) -> Place:
-        """Where a term is, in a cell; what the term sets goes first."""
+        """The place of a term in a cell. The term's fields override the cell's."""
         more = cell.more if term.more is None else term.more
         percent = cell.percent if term.percent is None else term.percent
         return cls(cell.task, cell.n_trained, 0 if more is None else more, percent)
@@ -62,18 +62,18 @@ class Scored:
     """One (policy, explainer) pair in one cell."""
 
     policy: str
-    values: dict[str, Floats]  # by metric, (E,), NaN where it is not a number or was not measured
+    values: dict[str, Floats]  # by metric, (E,), NaN if it is not a number or was not measured
 
 
 @dataclass
 class Samples:
-    """All that a study scored. Controls are filed like explainers, by one mean per policy."""
+    """All samples of a study. Controls are stored like explainers, with one mean per policy."""
 
     scored: dict[tuple[Place, str], dict[Run, Scored]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, pairs: Iterable[tuple[PolicyCard, Entry]]) -> Samples:
-        """Raises InputError as `check` does."""
+        """The samples of entries. Raises InputError as `check` does."""
         pairs = list(pairs)
         cls.check(card for card, _ in pairs)
         samples = cls()
@@ -83,14 +83,14 @@ class Samples:
 
     @staticmethod
     def check(cards: Iterable[PolicyCard]) -> None:
-        """Raises InputError, before anything is scored, where two policies are the same run of a cell."""
+        """Raise InputError, before anything is scored, if two policies are the same run of a cell."""
         known: dict[tuple[str, int, int | None, Run], str] = {}
         for card in cards:
             key = card.task, card.n_agents, percent_of(card), run_of(card)
             if known.setdefault(key, card.name) != card.name:
                 raise InputError(
                     f"{known[key]!r} and {card.name!r} are policies of one cell, architecture, lambda and "
-                    f"training seed: leave one of them out, naming the others with --policy."
+                    f"training seed: leave one of them out by giving the others with --policy."
                 )
 
     def _add(self, card: PolicyCard, entry: Entry) -> None:
@@ -113,19 +113,19 @@ class Samples:
             known.setdefault(run, Scored(card.name, means))
 
     def of_term(self, cell: Cell, term: Term) -> dict[Run, Scored]:
-        """The runs that a term means in a cell, with and without the attention-entropy term."""
+        """The runs of a term in a cell, with and without the attention-entropy term."""
         return self.scored.get((Place.of(cell, term), term.explainer), {})
 
     def runs(self, cell: Cell, term: Term, regularised: bool | None) -> dict[Run, Scored]:
-        """Those without the term, with it, or (None) all, in order of architecture, lambda and seed."""
+        """The runs without the term, with it, or (None) all, in order of architecture, lambda and seed."""
         every = self.of_term(cell, term)
         chosen = (run for run in every if regularised is None or (run.attention_entropy > 0) == regularised)
         return {run: every[run] for run in sorted(chosen)}
 
     def blocks(self, cell: Cell, contrast: Contrast) -> tuple[Blocks, Blocks]:
-        """Values of both sides, run by run, in pairs of the same policy or of partners with and without term.
+        """Values of both sides, run by run: pairs of the same policy, or of partners with and without term.
 
-        Where a side is a control, of which entries keep the mean alone, every policy is one value.
+        If a side is a control, of which entries keep only the mean, every policy is one value.
         """
         terms = [*contrast.a.terms, *contrast.b.terms]
         regularised = {_regularised(cell, term) for term in terms}
@@ -149,22 +149,25 @@ class Samples:
 
 
 def pooled(runs: Mapping[Run, Scored], metric: str) -> Floats:
-    """The episodes of all runs, one after the other, without those where the metric is not a number."""
+    """The episodes of all runs, concatenated, without those where the metric is not a number."""
     values = [each.values[metric] for each in runs.values()]
     x: Floats = np.concatenate(values) if values else np.array([])
     return x[~np.isnan(x)]
 
 
 def percent_of(card: PolicyCard) -> int | None:
-    """How much of its training a checkpoint has behind it; None for a finished policy."""
+    """The share of training that a checkpoint has completed, in percent; None for a finished policy."""
     percent = card.training.get("percent")
     return None if percent is None else int(percent)
 
 
 def run_of(card: PolicyCard) -> Run:
-    """Raises InputError for a policy whose training seed is not known."""
+    """The training run of a policy. Raises InputError if its training seed is unknown."""
     if card.training_seed is None:
-        raise InputError(f"policy {card.name!r} does not say its training seed: leave it out with --policy.")
+        raise InputError(
+            f"the card of policy {card.name!r} has no training seed: leave it out by giving others with "
+            f"--policy."
+        )
     architecture = hashlib.sha256(canonical_json(card.architecture.model_dump(mode="json"))).hexdigest()
     return Run(architecture[:12], card.attention_entropy, card.training_seed)
 

@@ -1,4 +1,4 @@
-"""Tables of a study out of its results: Markdown for people, LaTeX (booktabs) to paste into a paper."""
+"""Tables of a study from its results, in Markdown and LaTeX (booktabs)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ESCAPED = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "_": r"\_", "#": r
 
 @dataclass(frozen=True)
 class Table:
-    """Cells are text already; all but the first `n_names` columns are numbers."""
+    """A table of texts; all columns but the first `n_names` are numbers."""
 
     name: str  # of its files
     caption: str
@@ -33,7 +33,7 @@ class Table:
         return "\n".join([*lines, *(_line(row) for row in self.rows)]) + "\n"
 
     def latex(self) -> str:
-        """Needs the package booktabs."""
+        """As LaTeX, with the package booktabs."""
         body = [" & ".join(map(latex, row)) + r" \\" for row in self.rows]
         return "\n".join(
             [
@@ -61,7 +61,7 @@ def tables_of(results: Json) -> list[Table]:
 
 
 def quality_table(results: Json, metric: str) -> Table:
-    """Cells down, explainers across, each without and with the term: mean and interval over policies."""
+    """A row per cell and explainer, without and with the term: mean and interval over policies."""
     records = {
         (each["cell"], each["explainer"], each["regularised"]): each
         for each in results["quality"]
@@ -86,7 +86,7 @@ def quality_table(results: Json, metric: str) -> Table:
 
 
 def performance_table(results: Json) -> Table:
-    """The paper's layout: measures down within a cell, without and with the term across, beside theirs."""
+    """The paper's layout: a row per cell and measure, without and with the term, ours and the paper's."""
     records = {(each["cell"], each["measure"], each["regularised"]): each for each in results["performance"]}
     rows = []
     for cell, measure in dict.fromkeys((cell, measure) for cell, measure, _ in records):
@@ -100,8 +100,8 @@ def performance_table(results: Json) -> Table:
         )
     return Table(
         "performance",
-        "Task performance, mean and standard deviation over the episodes of all policies of a cell, beside "
-        "the paper's figures.",
+        "Task performance, mean and standard deviation over the episodes of all policies of a cell, ours and "
+        "the paper's.",
         ("cell", "measure", "without the term", "paper", "with the term", "paper"),
         tuple(rows),
         2,
@@ -109,7 +109,7 @@ def performance_table(results: Json) -> Table:
 
 
 def ledger_table(results: Json, part: str) -> Table:
-    """A statement a row; where it compares several things, the numbers of the one that decides."""
+    """A row per statement, with the numbers of its decisive comparison."""
     rows = []
     for claim in results[part]:
         shown = decisive(claim)
@@ -123,7 +123,7 @@ def ledger_table(results: Json, part: str) -> Table:
         )  # fmt: skip
     captions = {
         "ledger": "The paper's statements (lines of paper.tex) on our policies.",
-        "beyond": "What the paper could not see.",
+        "beyond": "Our own statements, beyond the paper.",
     }
     return Table(
         part,
@@ -137,7 +137,7 @@ def ledger_table(results: Json, part: str) -> Table:
 
 
 def lens_table(results: Json) -> Table:
-    """Statements down, lenses across: the verdict of each; a dash where the lens does not touch it."""
+    """A row per statement, a column per lens: the verdict, or a dash if the lens does not change it."""
     seen = {
         (lens["name"], claim["id"]): claim["verdict"]
         for lens in results["lenses"]
@@ -159,7 +159,7 @@ def lens_table(results: Json) -> Table:
 
 
 def decisive(claim: Json) -> Json:
-    """The contrast, over all policies, that the verdict hangs on: of the same verdict, else not held."""
+    """The decisive contrast over all policies: the first with the same verdict, else the first not held."""
     overall: Sequence[Json] = claim["overall"]
     same = [each for each in overall if each["verdict"] == claim["verdict"]]
     open_ = [each for each in overall if each["verdict"] != Verdict.HELD]
@@ -175,7 +175,7 @@ def difference(contrast: Json) -> str:
 
 
 def p_value(contrast: Json) -> str:
-    """After Bonferroni."""
+    """The p-value after Bonferroni."""
     p = contrast["p_adjusted"]
     return "-" if p is None else "< 0.001" if p < 0.001 else f"{p:.3f}"
 

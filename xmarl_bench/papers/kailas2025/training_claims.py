@@ -1,6 +1,6 @@
 """The statements on checkpoints along training: navigation, three agents, 20, 50 and 80 % (appendix).
 
-The text of the paper says 10, 50 and 90 % where its figure and table say 20, 50 and 80 %: the latter.
+The paper's text says 10, 50 and 90 %, but its figure and table say 20, 50 and 80 %, which we use.
 """
 
 from __future__ import annotations

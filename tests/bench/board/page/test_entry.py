@@ -82,4 +82,4 @@ def test_the_page_says_if_an_entry_is_not_ranked_or_missing(board: Path, browse:
     page = browse(board / "entry.html", f"#{find(board, 'failing').entry_id[:16]}")
     expect(page.locator("#gate")).to_have_text("Not ranked: success rate 0.200, under 0.5.")
     page = browse(board / "entry.html", "#0123456789abcdef")
-    expect(page.locator("#summary")).to_have_text("There is no entry 0123456789abcdef on this board.")
+    expect(page.locator("#summary")).to_have_text("This board has no entry 0123456789abcdef.")

@@ -1,9 +1,9 @@
-// One entry, named in the address: entry.html#<first 16 digits of its id>.
+// One entry, given in the address: entry.html#<first 16 digits of its id>.
 "use strict";
 
 const $ = (id) => document.getElementById(id);
 
-/** Nested JSON as a definition list's pairs, "a.b" named. */
+/** Nested JSON as pairs for a definition list, with names such as "a.b". */
 function pairs(value, name = "") {
   if (value === null || value === undefined) return [[name, "\u2013"]];
   if (typeof value !== "object") return [[name, String(value)]];
@@ -14,8 +14,8 @@ function pairs(value, name = "") {
 
 function showMetrics(row, details) {
   const controls = rows.filter((other) => other.policy === row.policy && other.control && other !== row);
-  const floor = controls.find(({ explainer }) => explainer === "random");
-  const best = controls.find(({ explainer }) => explainer === "oracle");
+  const random = controls.find(({ explainer }) => explainer === "random");
+  const oracle = controls.find(({ explainer }) => explainer === "oracle");
   const lines = METRICS.map((name, k) => {
     const summary = row.metrics[name];
     const [n, nan] = details.n[name] ?? [null, 0];
@@ -23,10 +23,10 @@ function showMetrics(row, details) {
     return element("tr", {}, element("th", { scope: "row" }, HEADINGS[name]),
       element("td", { class: "number" }, summary ? intervalNode(...summary, null) : element("span", { class: "none" }, row.why[name] ?? "not measured")),
       element("td", {}, n === null ? "" : `${n}${nan ? `, ${nan} not a number` : ""}`),
-      beside(floor), beside(best), element("td", {}, number(details.inverted?.[k]?.[0])));
+      beside(random), beside(oracle), element("td", {}, number(details.inverted?.[k]?.[0])));
   });
   $("metrics").replaceChildren(
-    element("caption", {}, "Means over episodes with 95 % intervals; beside them controls on the same states"),
+    element("caption", {}, "Means over episodes with 95 % intervals, and controls on the same states"),
     element("thead", {}, element("tr", {}, ...["metric", "value", "episodes", "random mask", "oracle mask", "inverted mask"].map((title) => element("th", { scope: "col" }, title)))),
     element("tbody", {}, ...lines));
 }
@@ -39,7 +39,7 @@ function showProvenance(row, details) {
     ["variants tried on these seeds, as the submitter says", String(row.variantsTried ?? "\u2013")],
     ["protocol", describeProtocol(row.table.protocol)],
     ["first episode's seed", String(details.first_seed)],
-    ["masks take", `${(1000 * cost.explain_seconds_per_timestep).toPrecision(3)} ms a timestep`],
+    ["time for masks", `${(1000 * cost.explain_seconds_per_timestep).toPrecision(3)} ms per timestep`],
     ...pairs({ verification: details.verification, explainer: details.explainer, policy: details.policy, provenance: details.provenance, reported: details.reported }),
   ];
   $("provenance").replaceChildren(...listed.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)]));
@@ -48,8 +48,8 @@ function showProvenance(row, details) {
 function showCommand(details) {
   const { commit, dirty, harness_version: version, cpu_capability: cpu, machine } = details.provenance;
   $("command").textContent = details.command;
-  $("again-note").textContent = `With xmarl-bench ${version}${commit ? ` at commit ${commit.slice(0, 12)}${dirty ? " and uncommitted changes" : ""}` : ""}; to the bit with the versions below on ${machine} ${cpu}. `
-    + "A policy or explainer that is not registered is named by its folder or file instead.";
+  $("again-note").textContent = `With xmarl-bench ${version}${commit ? ` at commit ${commit.slice(0, 12)}${dirty ? " and uncommitted changes" : ""}` : ""}; bit for bit with the versions below on ${machine} ${cpu}. `
+    + "Give the folder or file of a policy or explainer that is not registered.";
   $("copy").addEventListener("click", async () => {
     try {
       await navigator.clipboard.writeText(details.command);
@@ -71,8 +71,8 @@ function showAnimation(row) {
     else picture.removeAttribute("src");
     picture.hidden = !playing;
   };
-  picture.alt = `The first episode of ${row.policy.name}, seen from above; arrows between agents are as strong as ${row.explainer} says their messages matter.`;
-  $("episode-caption").textContent = `The first of the episodes that were scored, with the explanation of ${row.explainer}.`;
+  picture.alt = `The first episode of ${row.policy.name}, seen from above; the strength of arrows between agents is how much their messages matter, by ${row.explainer}.`;
+  $("episode-caption").textContent = `The first scored episode, with the explanation by ${row.explainer}.`;
   $("play").addEventListener("click", () => play(picture.hidden));
   play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
 }
@@ -81,7 +81,7 @@ async function showEntry() {
   const asked = location.hash.slice(1);
   const row = rows.find(({ id }) => id !== null && id === asked);
   if (!row) {
-    $("summary").textContent = `There is no entry ${asked || "named in the address"} on this board.`;
+    $("summary").textContent = asked ? `This board has no entry ${asked}.` : "The address names no entry.";
     return;
   }
   const details = await loadDetails(row.policy);

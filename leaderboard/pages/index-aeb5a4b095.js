@@ -1,11 +1,11 @@
-// The leaderboard: what is chosen above filters every table and chart below, and stands in the address.
+// The leaderboard: the choices at the top filter all tables and charts, and are part of the address.
 "use strict";
 
 const $ = (id) => document.getElementById(id);
 const ORDER = BOARD.order.by;
 const unique = (values) => [...new Set(values)];
 
-/** Fill a <select> with [value, text] pairs, keeping what is chosen where it still can be. */
+/** Fill a <select> with [value, text] pairs, keeping the choice if it is still there. */
 function fill(select, pairs) {
   const kept = select.value;
   select.replaceChildren(...pairs.map(([value, text]) => element("option", { value }, text)));
@@ -22,7 +22,7 @@ const policyLabel = (policy) => {
   return `${policy.name}, ${n} agents${policy.trained_n_agents === n ? "" : ` (trained with ${policy.trained_n_agents})`}`;
 };
 
-/** Where a metric's bars begin and end: all its intervals, but never outside of what can be read. */
+/** The range of a metric's bars: that of its intervals, limited to keep bars readable. */
 const domains = Object.fromEntries(METRICS.map((name) => {
   const values = rows.flatMap((row) => row.metrics[name] ?? []).filter((value) => value !== null);
   const [low, high] = d3.extent(values.length ? values : [0, 1]);
@@ -67,10 +67,10 @@ const scores = new DataTable("#scores", {
   ],
   createdRow: (line, row) => line.classList.toggle("control", row.control),
   language: { search: "Search", lengthMenu: "_MENU_ rows a page", info: "_START_\u2013_END_ of _TOTAL_ rows", infoFiltered: "(of _MAX_)",
-    infoEmpty: "no rows", zeroRecords: "Nothing fits: choose less above.", emptyTable: "No entries yet." },
+    infoEmpty: "no rows", zeroRecords: "No rows match: remove a filter above.", emptyTable: "No entries yet." },
   layout: { topStart: "search", topEnd: "info", bottomStart: "pageLength", bottomEnd: "paging" },
 });
-// What scrolls sideways is the table alone, not its search field and pages.
+// Only the table scrolls sideways, not its search field and pages.
 const scroller = element("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Scores, scrolls sideways" });
 $("scores").replaceWith(scroller);
 scroller.append(scores.table().node());
@@ -94,10 +94,10 @@ const rankingColumns = [
 const ranking = new DataTable("#ranking", {
   data: [], columns: rankingColumns, autoWidth: false, paging: false, searching: false, info: false, order: [[2, "desc"]],
   createdRow: (line, row) => line.classList.toggle("control", row.control),
-  language: { emptyTable: "Nothing is ranked here: no policy of this choice passes the gate, or explainers share too few." },
+  language: { emptyTable: "Nothing is ranked here: no policy of this selection passes the gate, or explainers share too few policies." },
 });
 
-/** The ranking of what is chosen above, if there is one. */
+/** The ranking of the current choice, if there is one. */
 function chosenRanking() {
   const [protocol, oracle, task, agents] = ["protocol", "oracle", "task", "agents"].map((id) => $(id).value);
   return BOARD.rankings.find((each) => each.protocol === protocol && each.oracle === oracle &&
@@ -141,7 +141,7 @@ function showBudget() {
   const policy = BOARD.policies.find(({ key }) => key === $("budget-policy").value);
   const place = $("budget-figure");
   return show(place, async () => {
-    if (!policy) return [element("p", { class: "dim" }, "No policy fits.")];
+    if (!policy) return [element("p", { class: "dim" }, "No policy matches.")];
     const details = await loadDetails(policy);
     const named = rows.filter((row) => row.policy === policy && row.id && !row.control).map((row) => [row.explainer, details[row.id]]);
     return budgetChart(place, named, $("budget-kind").value);
@@ -199,7 +199,7 @@ function showViolins() {
   });
 }
 
-/** Charts are drawn when they come into view: they load what no table needs. */
+/** Charts are drawn when they come into view, because they load data that no table needs. */
 const lazily = (id, draw) => new IntersectionObserver((entries, observer) => {
   if (entries.some((entry) => entry.isIntersecting)) { observer.disconnect(); draw(); }
 }, { rootMargin: "200px" }).observe($(id));

@@ -1,10 +1,10 @@
 """From entries to the board: tables per cell and protocol, ranked within a policy; rankings over policies.
 
-Entries share a table only if protocol, cell and the method of the oracle are identical: enumerated and sampled
-oracles are never mixed. A policy in a team of another size than in training is ranked in that cell, but not
-over all cells, where its training run would count twice. Within a policy, rows are ranked by paired episodes.
-Over policies, which are then the units, explainers are ranked by the mean of the order, which is normalised
-for each policy (0 a random ranking, 1 the best one), unlike the paper's metrics.
+Entries share a table only if protocol, cell and the method of the oracle are identical: enumerated and
+sampled oracles are never mixed. A policy in a team of another size than in training is ranked in that cell,
+but not over all cells, where its training run would count twice. Within a policy, rows are ranked by paired
+episodes. Over policies, which are then the units, explainers are ranked by the mean of the order, which is
+normalised for each policy (0 a random ranking, 1 the best one), unlike the paper's metrics.
 """
 
 from __future__ import annotations
@@ -309,7 +309,7 @@ def _mean(rows: Sequence[Json], metric: str) -> float | None:
 
 
 def _table_order(scope: Json, protocol: Json) -> tuple[bool, str, int, int, int, bytes]:
-    """Order tables: those with an enumerated oracle first, then by cell, then those with more episodes first."""
+    """Order tables: enumerated oracles first, then by cell, then more episodes first."""
     timesteps = protocol["timesteps"]
     return (
         scope["oracle"] == "sampled",

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 def compare(
     entry: Annotated[
-        list[str], typer.Argument(help="Entry files, folders of entries, or explainers named in --entries.")
+        list[str],
+        typer.Argument(
+            help="Entry files, folders of entries or of `score`, or explainers named in --entries."
+        ),
     ],
     metric: Annotated[
         list[str] | None,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from xmarl_bench.entry.file import read_entries, read_entry
+from xmarl_bench.entry.file import folder_of_entries, read_entries, read_entry
 from xmarl_bench.entry.schema import CellResult, Entry
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.records.files import canonical_json
@@ -15,32 +15,36 @@ Blocks = dict[str, dict[str, CellResult]]  # explainer -> states (the same for a
 
 
 def read_named(names: Sequence[str], folder: Path) -> list[Entry]:
-    """Read entries by name: a file, a folder of entries, or an explainer with entries in `folder`.
+    """Read entries by name: a file, a folder (of entries, or as `score` writes it), or an explainer.
 
+    An explainer with entries in `folder` comes before a file or folder of that name in the working directory.
     Files are used as they are; entries of names and folders are restricted to the states that all explainers
     share. Raises InputError for a name without entries.
     """
 
     @cache
-    def in_folder() -> list[Entry]:
-        return [entry for _, entry in read_entries(folder)]
+    def by_explainer() -> dict[str, list[Entry]]:
+        found: dict[str, list[Entry]] = {}
+        for _, entry in read_entries(folder_of_entries(folder)):
+            found.setdefault(entry.explainer.name, []).append(entry)
+        return found
 
     found: list[Entry] = []
-    files = all(Path(name).is_file() for name in names)
+    files = True
     for name in names:
         path = Path(name)
-        if path.is_dir():
-            entries = [entry for _, entry in read_entries(path)]
-        elif path.is_file() or path.suffix == ".json":
+        is_path = len(path.parts) > 1 or path.suffix == ".json"
+        if not is_path and name in by_explainer():
+            entries, files = by_explainer()[name], False
+        elif path.is_dir():
+            entries, files = [entry for _, entry in read_entries(folder_of_entries(path))], False
+            if not entries:
+                raise InputError(f"{name} holds no entries: give a folder with files of entries.")
+        elif is_path or path.is_file():
             entries = [read_entry(path)]
         else:
-            entries = [entry for entry in in_folder() if entry.explainer.name == name]
-            if not entries:
-                known = sorted({entry.explainer.name for entry in in_folder()})
-                explainer = f"explainer with entries in {folder}"
-                raise unknown(explainer, name, known, "or give the path of an entry")
-        if not entries:
-            raise InputError(f"{name} holds no entries: give a folder with files of entries.")
+            hint = "or give a file or folder of entries"
+            raise unknown(f"explainer with entries in {folder}", name, sorted(by_explainer()), hint)
         found += [entry for entry in entries if entry not in found]
     return found if files else shared_states(found)
 

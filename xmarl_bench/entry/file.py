@@ -83,6 +83,12 @@ def _parse(data: bytes) -> Entry:
     return entry
 
 
+def folder_of_entries(folder: Path) -> Path:
+    """The folder itself, or the `entries` in it if it is one that `score` wrote."""
+    inner = folder / "entries"
+    return inner if inner.is_dir() else folder
+
+
 def read_entries(folder: Path) -> Sequence[tuple[Path, Entry]]:
     """Every entry of a folder, sorted by file name."""
     return [(path, read_entry(path)) for path in sorted(folder.glob("*.json"))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib
 import importlib.util
@@ -35,6 +36,30 @@ class Origin:
 def is_reference(name: str) -> bool:
     """Whether `name` is a reference to code: registered names hold no colon."""
     return ":" in name
+
+
+def check_named(name: str) -> None:
+    """Raise InputError for a Python file without the name of an object in it. Does not run the file."""
+    if not name.endswith(".py"):
+        return
+    try:
+        body = ast.parse(Path(name).read_bytes()).body
+    except OSError as error:
+        raise InputError(f"{name} cannot be read ({error.strerror}): give path/to/file.py:NAME.") from None
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError(f"{name} is not Python ({error}): give path/to/file.py:NAME.") from None
+    names: list[str] = []
+    for each in body:
+        if isinstance(each, ast.FunctionDef | ast.ClassDef):
+            names.append(each.name)
+        elif isinstance(each, ast.Assign):
+            names += [target.id for target in each.targets if isinstance(target, ast.Name)]
+        elif isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
+            names.append(each.target.id)
+    public = [found for found in dict.fromkeys(names) if not found.startswith("_")]
+    raise InputError(
+        f"{name} is a file of code: give {name}:NAME with one of its names: {', '.join(public) or 'none'}."
+    )
 
 
 def load_reference(reference: str) -> tuple[Any, Origin]:

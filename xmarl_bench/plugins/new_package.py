@@ -14,7 +14,7 @@ from jinja2 import Environment, StrictUndefined
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.origin.installed import package_version
-from xmarl_bench.plugins.registry import NAME
+from xmarl_bench.plugins.registry import NAME, explainer_names, registered_policies
 from xmarl_bench.records.files import check_writable, write_atomically
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -32,6 +32,9 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
             f"{name!r} is not a valid package name: start with a letter, then a-z, 0-9, - and _, such as "
             f"my-{kind}."
         )
+    taken = explainer_names() if kind == "explainer" else registered_policies()[0]
+    if name in taken:
+        raise InputError(f"an installed {kind} is named {name!r}: choose another name.")
     if package in sys.stdlib_module_names or find_spec(package) is not None:
         raise InputError(f"a module {package!r} is already installed: choose another name than {name!r}.")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

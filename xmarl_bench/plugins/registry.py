@@ -21,7 +21,7 @@ from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.origin.installed import package_version
-from xmarl_bench.origin.references import Origin, is_reference, load_reference
+from xmarl_bench.origin.references import Origin, check_named, is_reference, load_reference
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.policy.untrusted import CARD
@@ -64,6 +64,7 @@ def find_explainer(name: str) -> Explainer:
 
     Raises InputError for an unknown name, and for a plugin or a file that does not load.
     """
+    check_named(name)
     what = f"explainer {name!r}"
     if name in CONTROLS:
         where = f"xmarl_bench.explain.controls:CONTROLS[{name!r}]"
@@ -113,6 +114,7 @@ def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyC
 
     Raises InputError if there is no such policy, and for code without `trust_code`.
     """
+    check_named(name)
     if _is_bundle(name):
         return load_policy(Path(name))
     if is_reference(name):
@@ -128,6 +130,7 @@ def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyC
 
 def find_policy(name_or_bundle: str) -> Path:
     """The bundle's folder or zip. Raises InputError for an unknown name and for a policy that is code."""
+    check_named(name_or_bundle)
     if _is_bundle(name_or_bundle):
         return Path(name_or_bundle)
     place = _registered_policy(name_or_bundle)
@@ -150,7 +153,7 @@ def _registered_policy(name: str) -> Path | PolicyCode:
         return policies[name]
     if failures:
         raise failures[0]
-    raise unknown("policy", name, policies, "or give the folder of a policy bundle")
+    raise unknown("policy", name, policies, "or give the folder of a bundle, or module:factory")
 
 
 def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError]]:

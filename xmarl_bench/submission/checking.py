@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from xmarl_bench.entry.file import parse_entry
+from xmarl_bench.entry.file import folder_of_entries, parse_entry
 from xmarl_bench.entry.schema import Entry, PolicyRecord, Verification
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.bundle import PolicyCard, Weights, build, parse_card, parse_weights
@@ -74,7 +74,7 @@ def check(path: Path) -> Checked:
         if checked.is_bundle:
             _check_bundle(checked)
         elif path.is_dir():
-            names = sorted(path.glob("*.json"))
+            names = sorted(folder_of_entries(path).glob("*.json"))
             if not names:
                 raise InputError(
                     f"{path} holds no entries (*.json) and no {MANIFEST}: give a folder of entries, or a "

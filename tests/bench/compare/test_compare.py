@@ -157,6 +157,30 @@ def test_the_command_prints_json_and_draws(run_cli: RunCli, entry: Entry, tmp_pa
     assert record["standings"][0]["profile"]["shares"] == [1.0, 0.25, 0.0]
 
 
+def test_names_of_explainers_come_before_folders_in_the_working_directory(
+    run_cli: RunCli, entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, value in (("one", 0.1), ("two", 0.2)):
+        write_entry(tmp_path / "results" / "entries", like(entry, name, [value] * 4))
+    write_entry(tmp_path / "one", like(entry, "three", [0.3] * 4))
+    (tmp_path / "two").write_text("no entry")
+    (tmp_path / "results" / "leaderboard.json").write_text("{}")  # as `score` leaves it
+
+    def explainers(*arguments: object) -> set[str]:
+        ran = run_cli("compare", *arguments, "--metric", "fid_delta", "--json")
+        assert ran.code == 0, ran.err
+        return {each["explainer"] for each in json.loads(ran.out)[0]["standings"]}
+
+    assert explainers("results") == {"one", "two"}
+    assert explainers("one", "two", "--entries", "results") == {"one", "two"}
+    assert explainers("./one", "two", "--entries", "results") == {"three", "two"}
+    assert explainers("one", "results") == {"one", "two", "three"}  # no explainer: no leaderboard here
+    checked = run_cli("validate", "results").out
+    assert "results: small.one." in checked
+    assert "leaderboard.json" not in checked
+
+
 def test_invalid_input_is_refused_with_one_sentence(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
     folder = tmp_path / "entries"
     file = write_entry(folder, like(entry, "one", [0.1] * 4))

@@ -58,6 +58,25 @@ def test_functions_classes_and_objects_of_a_file_are_loaded(file: Path) -> None:
         assert explainer.hyperparameters.get("scale") == scale
 
 
+@pytest.mark.parametrize(
+    "command", [("evaluate", "--policy"), ("check", "explainer"), ("render", "--policy")]
+)
+def test_a_file_without_a_name_is_refused_and_not_run(
+    command: tuple[str, ...], file: Path, run_cli: RunCli
+) -> None:
+    file.write_text(CODE + "_own: int = 1\nother: int = 2\nraise SystemExit(7)\n")
+    ran = run_cli(*command, file)
+    assert (ran.code, ran.out) == (2, "")
+    names = "nearest, Scaled, half, other"
+    said = f"{file} is a file of code: give {file}:NAME with one of its names: {names}."
+    assert ran.err == f"xmarl-bench: {said}\n"
+    for content, problem in (("def", "is not Python"), ("\0", "is not Python"), ("", "its names: none.")):
+        file.write_text(content)
+        assert problem in run_cli(*command, file).err
+    file.unlink()
+    assert "cannot be read (No such file or directory)" in run_cli(*command, file).err
+
+
 @pytest.mark.slow
 def test_a_module_s_origin_is_its_package() -> None:
     explainer = find_explainer("torch_geometric.explain:DummyExplainer")

@@ -39,6 +39,21 @@ def test_files_are_complete_and_valid(kind: str, run_cli: RunCli, tmp_path: Path
 
 
 @pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("explainer", "attention"),
+        ("explainer", "all-ones"),
+        ("policy", "navigation-n3-residual-lambda0-seed0"),
+    ],
+)
+def test_names_of_installed_ones_are_refused(kind: str, name: str, run_cli: RunCli, tmp_path: Path) -> None:
+    ran = run_cli("new", kind, name, "--out", tmp_path / "package")
+    assert (ran.code, ran.out) == (2, "")
+    assert ran.err == f"xmarl-bench: an installed {kind} is named {name!r}: choose another name.\n"
+    assert not (tmp_path / "package").exists()
+
+
+@pytest.mark.parametrize(
     ("name", "said"),
     [
         ("1st", "is not a valid package name"),

@@ -19,7 +19,7 @@ BLOCKS: list[str] = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILI
 
 @pytest.mark.slow
 def test_the_code_runs_from_top_to_bottom() -> None:
-    assert len(BLOCKS) == 5
+    assert len(BLOCKS) == 6
     names: dict[str, object] = {"__name__": "page"}
     for block in BLOCKS:
         exec(compile(block, "explainers.md", "exec"), names)

@@ -24,7 +24,7 @@ def _late_nan(policy: Policy, observations: Tensor, generator: torch.Generator) 
 
 
 def _wrong_shape(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-    return torch.ones(len(observations), observations.shape[1])
+    return torch.ones(len(observations), observations.shape[1], 1)
 
 
 def _not_a_tensor(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:

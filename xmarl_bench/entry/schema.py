@@ -40,6 +40,15 @@ class Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
+def left_out() -> Any:
+    """The default of a field that is None in older entries: left out of the text then, so ids stay."""
+    return Field(default=None, exclude_if=_is_none)
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 R = TypeVar("R", bound=Record)
 
 
@@ -69,6 +78,8 @@ class ExplainerRecord(Record):
     batched: bool = True  # False: called for one timestep at a time
     binary: bool = False  # masks of zeros and ones
     signed: Text | None = None  # formula that maps signed attributions to masks; None: not signed
+    # Declared to return importances of nodes, which fill the sender's column of a mask.
+    node_importance: bool | None = left_out()
     needs_fit: bool = False  # fitted on other states before it explains
     # To the policy, or to the episode's simulator as well; None: undeclared.
     accesses: Literal["black-box", "gradients", "attention", "simulator"] | None = None
@@ -107,15 +118,6 @@ class MetricsMeans(Record):
     if TYPE_CHECKING:  # None for some metrics, see `Metric.nullable`
 
         def __getattr__(self, name: str) -> Summary | Any: ...
-
-
-def left_out() -> Any:
-    """The default of a field that is None in older entries: left out of the text then, so ids stay."""
-    return Field(default=None, exclude_if=_is_none)
-
-
-def _is_none(value: object) -> bool:
-    return value is None
 
 
 def _row_type(metric: Metric) -> Any:

@@ -47,13 +47,14 @@ class Declared(TypedDict, total=False):
     batched: bool
     binary: bool
     signed: bool
+    node_importance: bool | None
     needs_fit: bool
     accesses: Access | None
     absence: Absence | str | None
 
 
 FLAGS = ("stochastic", "slow", "batched", "binary", "signed", "needs_fit")
-DECLARATIONS = ("name", "summary", "hyperparameters", "accesses", "absence", *FLAGS)
+DECLARATIONS = ("name", "summary", "hyperparameters", "accesses", "absence", "node_importance", *FLAGS)
 
 
 @overload
@@ -270,6 +271,8 @@ def _check_declared(name: str, fields: Mapping[str, Any]) -> None:
             wanted = "a dict of names and numbers, strings, booleans or None"
         elif key in FLAGS:
             right, wanted = isinstance(value, bool), "True or False"
+        elif key == "node_importance":
+            right, wanted = value is None or isinstance(value, bool), "True, False or None"
         else:
             right, wanted = isinstance(value, str), "a string"
         if not right:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import signed_to_unit
+from xmarl_bench.explain.node_importance import as_edge_masks
 from xmarl_bench.explain.pyg import class_settings_kept
 from xmarl_bench.explain.simulated import Simulated
 from xmarl_bench.metrics.absence import Absence
@@ -33,7 +34,7 @@ class Explain(Protocol):
     """Computes how much each message matters."""
 
     def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator, /) -> Tensor:
-        """(S, N, D) float32 observations of one episode -> mask (S, N, N) in [0, 1].
+        """(S, N, D) float32 observations of one episode -> mask (S, N, N) in [0, 1], or what becomes one.
 
         mask[s, i, j] is how much edge j -> i (sender j, receiver i; the diagonal is the agent's own edge)
         matters at timestep s. `policy` is a private copy; all randomness must come from `generator`. The
@@ -63,6 +64,9 @@ class Explainer:
     batched: bool = True  # False: `explain` is called for one timestep at a time, (N, D) -> (N, N)
     binary: bool = False  # masks hold zeros and ones only, which is checked
     signed: bool = False  # returns finite numbers of either sign, which `signed_to_unit` maps to [0, 1]
+    # Returns the importance of each agent as a sender, (S, N), of which `as_edge_masks` makes masks; None:
+    # not declared, the shape tells.
+    node_importance: bool | None = None
     # Access to the policy. "black-box": a policy that only answers queries (policy.black_box); "attention":
     # the same with attention; "gradients", or None (not declared): the network itself.
     accesses: Access | None = None
@@ -95,20 +99,22 @@ def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
 
 
 def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> object:
-    """As `run_explainer`, but the explainer's return value, unchecked."""
+    """As `run_explainer`, but the explainer's return value, unchecked; a mask if it was node importances."""
     if explainer.fit is not None and explainer.fitted_on is None:
         raise InputError(f"explainer {explainer.name!r} is not fitted: fit it with `fit_explainer` first.")
     n_steps, n_agents, _ = observations.shape
-    name, explain = explainer.name, explain_of(explainer)
+    name, nodes, explain = explainer.name, explainer.node_importance, explain_of(explainer)
 
     def run(generator: torch.Generator) -> object:
         if explainer.batched:
-            return explain(seen(explainer, copy.deepcopy(policy)), observations.clone(), generator)
+            returned = explain(seen(explainer, copy.deepcopy(policy)), observations.clone(), generator)
+            return as_edge_masks(name, returned, (n_steps, n_agents, n_agents), nodes)
         seeds = torch.randint(2**62, (n_steps,), generator=generator).tolist()
         masks: list[Tensor] = []
         for x, each in zip(observations, seeds, strict=True):
             private, drawn = copy.deepcopy(policy), torch.Generator().manual_seed(each)
-            mask = explain(seen(explainer, private), x.clone(), drawn)
+            returned = explain(seen(explainer, private), x.clone(), drawn)
+            mask = as_edge_masks(name, returned, (n_agents, n_agents), nodes)
             masks.append(as_floats(name, mask, (n_agents, n_agents)))
         return torch.stack(masks)
 

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer
-from xmarl_bench.explain.explainer import Explain, Explainer, Fit
+from xmarl_bench.explain.explainer import Explain, Explainer, Fit, as_floats
+from xmarl_bench.explain.node_importance import as_edge_masks
 from xmarl_bench.explain.simulated import Simulated
 from xmarl_bench.policy import ActionDistribution, Policy
 
@@ -80,30 +81,35 @@ def messages_only(thing: object) -> Explainer:
     return replace(
         explainer,
         name=f"{explainer.name}{SUFFIX}",
-        explain=_asked(explainer.name, explainer.explain),
+        explain=_asked(explainer, explainer.explain),
         summary=f"{explainer.summary}; an agent always hears itself",
         hyperparameters={**explainer.hyperparameters, "own_edge": "kept"},
-        fit=None if explainer.fit is None else _asked_when_fitted(explainer.name, explainer.fit),
+        fit=None if explainer.fit is None else _asked_when_fitted(explainer, explainer.fit),
+        node_importance=None,
         origin=None,
     )
 
 
-def _asked(name: str, explain: Explain | Simulated) -> Explain:
+def _asked(explainer: Explainer, explain: Explain | Simulated) -> Explain:
     """Raises InputError for one that plays on, where messages are those that the team sends."""
     if isinstance(explain, Simulated):
         raise InputError(
-            f"explainer {name!r} plays on in the world of an episode: it cannot be asked about messages "
-            f"alone."
+            f"explainer {explainer.name!r} plays on in the world of an episode: it cannot be asked about "
+            f"messages alone."
         )
 
     def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-        return _with_own(explain(OwnKept(policy), observations, generator))
+        n_steps, n_agents, _ = observations.shape
+        returned = explain(OwnKept(policy), observations, generator)
+        shape = n_steps, n_agents, n_agents
+        masks = as_edge_masks(explainer.name, returned, shape, explainer.node_importance)
+        return _with_own(as_floats(explainer.name, masks, shape))
 
     return about_messages
 
 
-def _asked_when_fitted(name: str, fit: Fit) -> Fit:
+def _asked_when_fitted(explainer: Explainer, fit: Fit) -> Fit:
     def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Explain:
-        return _asked(name, fit(OwnKept(policy), observations, generator))
+        return _asked(explainer, fit(OwnKept(policy), observations, generator))
 
     return about_messages

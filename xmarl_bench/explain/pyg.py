@@ -9,17 +9,20 @@ and the settings that two algorithms keep on their class are restored.
 from __future__ import annotations
 
 import copy
+import logging
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch_geometric.explain import Explainer as PygExplainer
-from torch_geometric.explain import ExplainerAlgorithm, Explanation, ModelConfig, PGExplainer
+from torch_geometric.explain import ExplainerAlgorithm, ModelConfig, PGExplainer
 
+from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import effect_direction
+from xmarl_bench.explain.node_importance import mask_of_explanation
 from xmarl_bench.policy import Policy
 
 
@@ -35,6 +38,9 @@ class PygExplain:
         discrete ones of all agents, as a regression on nodes.
     per_agent: explain one agent at a time (PyG's `index`) and take row i from the explanation of agent i.
     to_unit: maps attributions (N, N) to [0, 1], for algorithms that do not return masks.
+
+    An algorithm that masks no edges masks nodes instead, for one agent at a time: row i is the node mask of
+    agent i. One that needs classes (PGMExplainer) explains the likeliest of discrete actions.
 
     A PGExplainer is first trained on all timesteps and agents of the episode (`PygFit` uses other states),
     one object per episode. It explains agent by agent for any options, because PyG's supports nothing else.
@@ -54,28 +60,31 @@ class PygExplain:
                 return PygFit(self.algorithm)(policy, observations, generator)(
                     policy, observations, generator
                 )
+            form = EDGES if self.effect else form_of(self.algorithm, policy)
             masks = [
-                self._explain(policy, graph.clone(), seed)
+                self._explain(policy, graph.clone(), seed, form)
                 for graph, seed in zip(observations, seeds, strict=True)
             ]
         mask = torch.stack(masks).detach()
         return mask if self.to_unit is None else self.to_unit(mask)
 
-    def _explain(self, policy: Policy, x: Tensor, seed: int) -> Tensor:
+    def _explain(self, policy: Policy, x: Tensor, seed: int, form: Form) -> Tensor:
         """(N, D) observations of one timestep -> (N, N)."""
         torch.manual_seed(seed)
         edge_index = policy.layer_edges(x)
         if edge_index.numel() == 0:  # several algorithms fail without edges
             return x.new_zeros(len(x), len(x))
-        if not self.per_agent:
-            return self._explanation(policy, x, edge_index, None)
-        return torch.stack([self._explanation(policy, x, edge_index, i)[i] for i in range(len(x))])
+        if not (self.per_agent or form.of_nodes):
+            return self._explanation(policy, x, edge_index, None, form)
+        return torch.stack([self._explanation(policy, x, edge_index, i, form)[i] for i in range(len(x))])
 
-    def _explanation(self, policy: Policy, x: Tensor, edge_index: Tensor, index: int | None) -> Tensor:
-        model = _private(policy, differentiable=self.effect)
+    def _explanation(
+        self, policy: Policy, x: Tensor, edge_index: Tensor, index: int | None, form: Form
+    ) -> Tensor:
+        model, algorithm = _private(policy, differentiable=self.effect), self.algorithm()
         explained = _Effect(model, x) if self.effect else model
-        explainer = _connect(explained, self.algorithm(), "graph" if self.effect else "node", "model")
-        return _matrix(explainer(x, edge_index, index=index))
+        explainer = _connect(explained, algorithm, "graph" if self.effect else "node", "model", form)
+        return mask_of_explanation(type(algorithm).__name__, explainer(x, edge_index, index=index), len(x))
 
 
 class _Effect(nn.Module):
@@ -133,7 +142,11 @@ class TrainedPG:
             edge_index = policy.layer_edges(x)
             with torch.no_grad():
                 target = model(x, edge_index)
-            rows = [_matrix(explainer(x, edge_index, target=target, index=i))[i] for i in agents]
+            explained = [explainer(x, edge_index, target=target, index=i) for i in agents]
+            rows = [
+                mask_of_explanation("PGExplainer", each, len(x))[i]
+                for i, each in zip(agents, explained, strict=True)
+            ]
             masks.append(torch.stack(rows))
         return torch.stack(masks).detach()
 
@@ -160,13 +173,48 @@ class Copies:
         return fresh
 
 
-def _matrix(explanation: Explanation) -> Tensor:
-    """(N, N) edge mask of an explanation, 0 where there is no edge."""
-    sender, receiver = explanation.edge_index
-    x: Tensor = explanation.x
-    matrix = x.new_zeros(len(x), len(x))
-    matrix[receiver, sender] = explanation.edge_mask.detach()
-    return matrix
+@dataclass(frozen=True)
+class Form:
+    """What an algorithm explains, and how.
+
+    of_nodes: it masks nodes and not edges: row i of our mask is what explains agent i.
+    of_classes: F is read as probabilities of classes, and the likeliest one is explained.
+    """
+
+    of_nodes: bool = False
+    of_classes: bool = False
+
+
+EDGES = Form()
+
+
+def form_of(algorithm: Callable[[], ExplainerAlgorithm], policy: Policy) -> Form:
+    """How the algorithm explains the policy: by masks of edges if it can, else of nodes.
+
+    Only discrete actions have classes. Raises InputError if the algorithm supports none of these.
+    """
+    forms = [EDGES, Form(of_nodes=True)]
+    if not policy.continuous_actions:
+        forms += [Form(of_classes=True), Form(of_nodes=True, of_classes=True)]
+    root = logging.getLogger()
+    root.addFilter(_nothing)  # algorithms log what they do not support
+    try:
+        for form in forms:
+            with suppress(ValueError):
+                _connect(policy, algorithm(), "node", "model", form)
+                return form
+    finally:
+        root.removeFilter(_nothing)
+    actions = "discrete" if not policy.continuous_actions else "continuous"
+    raise InputError(
+        f"{type(algorithm()).__name__} explains neither edges nor nodes of a policy with {actions} actions: "
+        f"choose another algorithm"
+        + (", or a policy with discrete actions." if policy.continuous_actions else ".")
+    )
+
+
+def _nothing(record: logging.LogRecord) -> bool:
+    return False
 
 
 def _private(policy: Policy, *, differentiable: bool = False) -> Policy:
@@ -180,14 +228,21 @@ def _private(policy: Policy, *, differentiable: bool = False) -> Policy:
 
 
 def _connect(
-    model: nn.Module, algorithm: ExplainerAlgorithm, task_level: str, explanation_type: str
+    model: nn.Module,
+    algorithm: ExplainerAlgorithm,
+    task_level: str,
+    explanation_type: str,
+    form: Form = EDGES,
 ) -> PygExplainer:
+    read_as = {"mode": "multiclass_classification", "return_type": "probs"}
     return PygExplainer(
         model=model,
         algorithm=algorithm,
         explanation_type=explanation_type,
-        edge_mask_type="object",
-        model_config=ModelConfig(mode="regression", task_level=task_level),
+        **{"node_mask_type" if form.of_nodes else "edge_mask_type": "object"},
+        model_config=ModelConfig(
+            task_level=task_level, **(read_as if form.of_classes else {"mode": "regression"})
+        ),
     )
 
 

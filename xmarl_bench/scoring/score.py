@@ -219,6 +219,7 @@ def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:
         batched=explainer.batched,
         binary=explainer.binary,
         signed=NORMALISER if explainer.signed else None,
+        node_importance=explainer.node_importance,
         needs_fit=explainer.fit is not None,
         accesses=SIMULATOR if explainer.simulates else explainer.accesses,
         code_sha256=origin.code_sha256,

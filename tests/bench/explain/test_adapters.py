@@ -111,6 +111,7 @@ def test_the_decorator_records_declarations() -> None:
         ({"stochastc": True}, "declares 'stochastc': choose among name"),
         ({"stochastic": 1}, "stochastic = 1: give True or False"),
         ({"accesses": "weights"}, "accesses = 'weights': give one of black-box, attention, gradients"),
+        ({"node_importance": "yes"}, "node_importance = 'yes': give True, False or None"),
         ({"absence": "gone"}, "absence = 'gone': give one of zero, mean, resample, renormalised"),
         ({"hyperparameters": {"layers": [1, 2]}}, "give a dict of names and numbers"),
         ({"name": 3}, "name = 3: give a string"),

@@ -1,14 +1,14 @@
 """Checks for degenerate explanations: valid masks that explain nothing.
 
-A mask may rank no message at all, be the same in every state, for every receiver, or for another policy. A
-mask of another timestep is found by "order of timesteps". Metrics do not find all of these: the mask of a
-moment before scores nearly as well as the right one.
+A mask may rank no message at all, or be the same in every state, for every receiver, or for any policy. The
+check "order of timesteps" finds masks of another timestep. Metrics do not find all of these: the mask of the
+previous timestep scores nearly as well as the right one.
 
-Whether a mask should differ between states and receivers depends on the policy: one was trained whose
-attention ranks senders alike for every receiver. So these two are asked on a planted policy, whose
-receivers each listen to another sender, drawn anew in every state.
+Whether a mask should differ between states and receivers depends on the policy: the attention of a trained
+policy may rank senders alike for every receiver. So these two checks use a planted policy, whose receivers
+each listen to another sender, drawn anew in every state.
 
-Masks are compared by rank correlation of the senders of a receiver, own edges left out. S is the number of
+Masks are compared by rank correlation of the senders of a receiver, without own edges. S is the number of
 timesteps, N agents.
 """
 
@@ -30,8 +30,8 @@ from xmarl_bench.metrics import other_senders, rank_correlation
 from xmarl_bench.planted.families import planted
 from xmarl_bench.policy import existing_edges
 
-SAME: Final = 0.99  # rank correlation above which two masks say the same
-DIGITS: Final = 6  # of mask values: what is beyond is rounding, and would break ties
+SAME: Final = 0.99  # rank correlation above which two masks count as equal
+DIGITS: Final = 6  # of mask values: smaller differences are rounding, and would break ties
 FAMILY, N_AGENTS, N_STEPS = "one-sender", 4, 20
 Floats = NDArray[np.float64]
 Edges = NDArray[np.bool_]
@@ -43,7 +43,7 @@ def tells_messages_apart(subject: ExplainerSubject) -> str:
     present = mask if edges is None else np.where(edges, mask, np.nan)
     share = float((present != _first_of(present)).any(axis=-1, where=~np.isnan(present)).mean())
     if share == 0.0:
-        raise Failed("all messages of a receiver have one value, in every state: rank them.")
+        raise Failed("all messages of a receiver have the same value, in every state: rank them.")
     return f"messages differ in {share:.0%} of the rows"
 
 
@@ -54,7 +54,7 @@ def follows_the_policy(subject: ExplainerSubject) -> str:
     if same > SAME:
         raise Failed(
             f"the mask is the same after the policy's weights are shuffled (rank correlation {same:.3f}): "
-            f"explain the policy that is given."
+            f"explain the given policy."
         )
     return "" if np.isnan(same) else f"rank correlation with the mask of shuffled weights {same:.2f}"
 
@@ -81,14 +81,14 @@ def mean_over_states(mask: Floats) -> Floats:
 
 
 def mean_over_receivers(mask: Floats) -> Floats:
-    """(S, N, N) -> (S, N, N), the same for every receiver; own edges are left out of the mean."""
+    """(S, N, N) -> (S, N, N), the same for every receiver; the mean excludes own edges."""
     others = ~np.eye(mask.shape[-1], dtype=bool)
     column = (mask * others).sum(axis=1, keepdims=True) / others.sum(axis=0)
     return np.broadcast_to(column, mask.shape)
 
 
 def sameness(mask: Floats, mean: Callable[[Floats], Floats]) -> float:
-    """(S, N, N) -> rank correlation of the mask with its mean: 1 is the same everywhere, NaN a constant."""
+    """(S, N, N) -> rank correlation of the mask with its mean: 1 if they are alike, NaN for constant rows."""
     return rank_correlation(_messages(mask), _messages(mean(mask)))
 
 
@@ -96,15 +96,15 @@ def _differs(subject: ExplainerSubject, mean: Callable[[Floats], Floats], what: 
     _mask(subject)
     truth = planted(FAMILY, N_AGENTS, n_steps=N_STEPS, seed=SEED)
     try:
-        homeless = replace(subject.explainer, simulator=None)  # planted states are of no episode
-        ready = fit_explainer(homeless, truth.policy, truth.reference, SEED)
+        without_simulator = replace(subject.explainer, simulator=None)  # planted states have no episode
+        ready = fit_explainer(without_simulator, truth.policy, truth.reference, SEED)
         mask = run_explainer(ready, truth.policy, truth.observations, SEED)
     except InputError as error:
         raise NotApplicable(f"it does not explain a planted policy: {error}") from None
     same = sameness(mask.numpy().astype(np.float64), mean)
     if same > SAME:
         raise Failed(
-            f"on a planted policy, whose relevant sender is another for every {what}, the mask ranks senders "
+            f"on a planted policy, whose relevant sender differs between {what}s, the mask ranks senders "
             f"alike for every {what} (rank correlation with its mean {same:.3f}): explain each {what}."
         )
     return "" if np.isnan(same) else f"rank correlation with its mean over {what}s {same:.2f}"
@@ -113,7 +113,7 @@ def _differs(subject: ExplainerSubject, mean: Callable[[Floats], Floats], what: 
 def _mask(subject: ExplainerSubject) -> Floats:
     """(S, N, N)"""
     if subject.explainer.control:
-        raise NotApplicable("a control is not meant to explain.")
+        raise NotApplicable("controls are not explanations.")
     mask = subject.mask_or_skip().numpy().astype(np.float64)
     if mask.shape[-1] < 3:
         raise NotApplicable("needs three agents, so that a receiver has two senders to rank.")
@@ -126,7 +126,7 @@ def _messages(mask: NDArray[np.floating]) -> Floats:
 
 
 def _first_of(present: Floats) -> Floats:
-    """(S, N, M), NaN where there is no sender -> (S, N, 1): the value of a row's first sender."""
+    """(S, N, M), NaN for absent senders -> (S, N, 1): the value of a row's first sender."""
     first = np.isnan(present).argmin(axis=-1)[..., None]
     return np.take_along_axis(present, first, axis=-1)
 

@@ -1,4 +1,4 @@
-"""What checks of an explainer look at: its masks of a policy on states that no score uses."""
+"""The subject of an explainer's checks: its masks of a policy, on states that no score uses."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def run(name: str, app: Callable[[], object], interrupted: str) -> None:
     except KeyboardInterrupt:
         _end(f"{name}: {interrupted}", 130)
     except OSError as error:
-        if error.errno == errno.EPIPE:  # the reader has what it wanted, as `| head -1` has
+        if error.errno == errno.EPIPE:  # the reader closed the pipe, as `| head -1` does
             _end(None, 1)
         _end(f"{name}: {_what_failed(error)}", 2)
     finally:
@@ -56,7 +56,7 @@ def _check_arguments(arguments: list[str]) -> None:
 
 
 def _flush() -> None:
-    """Write what is buffered, so that a full disk or a closed pipe is noticed here and not at exit."""
+    """Write buffered output, so that a full disk or a closed pipe raises here and not at exit."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -66,7 +66,7 @@ def _flush() -> None:
 
 
 def _discard_output() -> None:
-    """Send what is still buffered nowhere: Python would fail again on it at exit."""
+    """Discard buffered output: Python would fail on it again at exit."""
     with suppress(OSError, ValueError):  # an output without a file descriptor
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())

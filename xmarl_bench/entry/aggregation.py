@@ -89,8 +89,8 @@ def control_metrics(
 def sampling_error(rows: Sequence[EpisodeRow]) -> float | None:
     """The standard error that estimating random@k gives a message fidelity of 0, over episodes.
 
-    At most: budgets are taken to err together, and the absence model that errs most stands for all. None
-    where random@k was not estimated, or nothing is to be ranked.
+    An upper bound: assumes that errors of all budgets add up, and uses the absence model with the largest
+    error. None if random@k was not estimated, or if there is nothing to rank.
     """
     found = []
     for name in MESSAGE_BUDGETS:

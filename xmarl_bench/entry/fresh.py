@@ -1,4 +1,4 @@
-"""Public seeds against fresh ones: what an explainer that knows the public episodes gains by it."""
+"""Compares scores on public and fresh seeds: how much an explainer gains from knowing the public episodes."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from xmarl_bench.metrics.table import HEADLINES, ON_FRESH, Direction, by_name
 
 
 def differences(public: CellResult, fresh: CellResult) -> dict[str, FreshDifference]:
-    """Public less fresh of the headline metric and the paper's, over episodes."""
+    """Public less fresh, of the headline metrics and the paper's, over episodes."""
     return {name: _difference(public, fresh, name) for name in ON_FRESH}
 
 
 def headline(compared: Mapping[str, FreshDifference]) -> tuple[str, FreshDifference] | None:
-    """The metric that decides, with its difference; None if none was measured."""
+    """The deciding metric, with its difference; None if none was measured."""
     measured = (name for name in HEADLINES if name in compared and compared[name].difference is not None)
     name = next(measured, None)
     return None if name is None else (name, compared[name])
 
 
 def worse_on_fresh(compared: Mapping[str, FreshDifference]) -> str | None:
-    """A sentence if the explainer does worse on fresh episodes, by an interval that excludes 0; else None."""
+    """A sentence if the explainer is worse on fresh episodes, by an interval that excludes 0; else None."""
     decides = headline(compared)
     if decides is None or decides[1].interval is None:
         return None

@@ -14,10 +14,10 @@ PROTOCOL: Final = "xmarl-3"
 # States of the sanity checks: the first episodes of a run, at evenly spaced timesteps.
 SANITY_EPISODES: Final = 5
 SANITY_TIMESTEPS: Final = 20
-# Of the episodes that are played on an explanation, so many also under the absence models other than zero.
+# Episodes, of those played on an explanation, that are also played under absence models other than zero.
 ABSENCE_EPISODES: Final = 10
 
-# Of cells whose oracle is sampled; they share no table with others.
+# Definitions for cells with a sampled oracle, which share no table with others.
 SAMPLED: Final = (
     "random@k: estimate by random orders of the senders of each row, in pairs of an order and its "
     "reverse: mean FidDelta of the masks of the k first of every row. oracle@k: estimate from below, the "

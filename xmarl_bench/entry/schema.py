@@ -175,7 +175,7 @@ class BudgetRow(Record):
     explained: tuple[float | None, ...]  # of the k highest edges of the mask's rows
     random: tuple[float | None, ...] | None  # of a random ranking, in expectation; null without an oracle
     oracle: tuple[float | None, ...] | None  # of the best k edges
-    random_error: tuple[float | None, ...] | None = left_out()  # standard error, where sampled
+    random_error: tuple[float | None, ...] | None = left_out()  # standard error of `random`, if sampled
 
 
 @of_metrics(_row_type, Group.SANITY, Group.POLICY, Group.GAIN, Group.TASK)
@@ -212,7 +212,7 @@ class Metrics(ExplanationMetrics, BehaviourMetrics):
 
 
 class OracleRecord(Record):
-    """How random@k and oracle@k of a cell were found: over all rows, or over some that were drawn."""
+    """How random@k and oracle@k of a cell were computed: from all rows, or from random ones."""
 
     kind: OracleKind
     orders: Count | None = left_out()  # random ones, of the senders of each row
@@ -235,7 +235,7 @@ class CellResult(Record):
 
     @property
     def oracle_kind(self) -> OracleKind:
-        """Entries share a table only where it is the same; `enumerated` also where there is no oracle."""
+        """Entries share a table only if this is equal; `enumerated` also if there is no oracle."""
         return "enumerated" if self.oracle is None else self.oracle.kind
 
 
@@ -277,7 +277,7 @@ class FreshDifference(Record):
 
 
 class FreshSeeds(Record):
-    """A score on episodes that nobody knew when the entry was submitted."""
+    """A score on episodes that were unknown when the entry was submitted."""
 
     value: Annotated[str, Field(min_length=1, max_length=LONGEST_VALUE)]  # from which seeds are derived
     by: Text

@@ -1,32 +1,30 @@
-"""The sampled oracle: for teams whose rows are too many to try, and networks whose rows do not act alone.
+"""The sampled oracle: for teams with too many rows to try, and for networks whose rows are not independent.
 
-With several layers F_i depends on the whole mask, so a choice is one of k edges from every row at once.
-With one layer and more agents than can be tried, masks are made in the same way, and each row counts for
-itself.
+With several layers, F_i depends on the whole mask, so k edges are chosen from all rows at once. With one
+layer and too many agents, masks are made in the same way, and each row counts separately.
 
-random@k: the senders of every row are put in DRAWS random orders, drawn independently; the k first of each
-row make a mask, and random@k is the mean of its FidDelta over the orders. It has no bias, since all choices
-of k edges from every row have equal chances. Orders come in pairs, one the other's reverse; pairs are
-independent, and their spread gives the standard error.
+random@k: the senders of every row are put in DRAWS random orders; the first k of each row make a mask, and
+random@k is the mean of its FidDelta over the orders. It is unbiased, because all choices of k edges from
+every row are equally likely. Orders come in pairs, one the reverse of the other; pairs are independent, and
+their spread gives the standard error.
 
-oracle@k: the best mask of k edges from every row that a search finds, an estimate of the maximum from
-below. It is the best of
+oracle@k: the best mask of k edges from every row that a search finds, a lower estimate of the maximum. It is
+the best of
 
 - the masks of the random orders;
-- the k highest of the policy's attention, where it attends;
+- the k edges with the highest attention, if the policy has attention;
 - a greedy chain that begins with no edge and adds to each row the edge that raises FidDelta most, k times;
-- a greedy chain that begins with all edges and takes from each row the edge whose loss raises FidDelta most.
+- a greedy chain that begins with all edges and drops from each row the edge whose loss raises FidDelta most.
 
-With one layer all rows of a mask are searched at once, and the best is taken of each row. With several
-layers the chains change one row after the other while all others stay (FidDelta is the team's), the best is
-taken of whole masks, and SWEEPS sweeps of coordinate ascent follow: row by row the best swap of two
-senders.
+With one layer, all rows of a mask are searched at once, and the best is taken for each row. With several
+layers, the chains change one row at a time (FidDelta is the team's), the best is taken over whole masks, and
+SWEEPS sweeps of coordinate ascent follow: row by row, the best swap of two senders.
 
-Masks decoded for a timestep and a model, M senders in a row: 16 M for the random orders; about 2 M^2 for
-the chains, N times as many with several layers, and there at most 2 / 3 N M^3 for the sweeps.
+Masks decoded per timestep and absence model, for M senders in a row: 16 M for the random orders; about 2 M^2
+for the chains, N times as many with several layers, and then at most 2 / 3 N M^3 for the sweeps.
 
-S is the number of timesteps, N agents, K budgets k = 1 .. M - 1 of M senders in a row: M = N, or N - 1
-where own edges are always kept. U is what the best is taken of: N rows, or 1 mask.
+S is the number of timesteps, N agents, K budgets k = 1 .. M - 1 of M senders in a row: M = N, or N - 1 if own
+edges are always kept. U is the number of units over which the best is taken: N rows, or 1 mask.
 """
 
 from __future__ import annotations
@@ -48,7 +46,7 @@ SWEEPS: Final = 2
 
 
 def random_orders(n_steps: int, n_agents: int, rng: np.random.Generator) -> Floats:
-    """(DRAWS, S, N, N) in [0, 1]: the lower, the earlier in its order. Pairs follow one another."""
+    """(DRAWS, S, N, N) in [0, 1]: lower values come earlier in an order. Orders of a pair are adjacent."""
     drawn = rng.random((DRAWS // 2, n_steps, n_agents, n_agents))
     return np.stack([drawn, 1.0 - drawn], axis=1).reshape(DRAWS, n_steps, n_agents, n_agents)
 
@@ -56,17 +54,17 @@ def random_orders(n_steps: int, n_agents: int, rng: np.random.Generator) -> Floa
 def ranks(value: Floats, orders: Floats, senders: Bools) -> NDArray[np.int64]:
     """(S, N, N), (D, S, N, N) -> (D, S, N, N): the place of each edge in its row, 0 the highest value.
 
-    Equal values stand in the order of each draw, edges that are not among `senders` (S, N, N) at the end.
+    Equal values are in the order of each draw, edges that are not among `senders` (S, N, N) at the end.
     """
     falling = np.broadcast_to(np.where(senders, -value, np.inf), orders.shape)
-    by_place = np.lexsort((orders, falling), axis=-1)  # the last key is the first to count
+    by_place = np.lexsort((orders, falling), axis=-1)  # the last key is the primary one
     return np.argsort(by_place, axis=-1)
 
 
 def standard_error(delta: Floats, *, row_wise: bool) -> Floats:
     """(DRAWS, K, S, N) FidDelta of the random masks -> (K,): the standard error of their mean.
 
-    Pairs of orders are independent, of each row where rows act alone and else of each timestep; so are those
+    Pairs of orders are independent for each row if rows are independent, else for each timestep; so are those
     of different rows, or timesteps.
     """
     units = delta if row_wise else delta.mean(axis=-1, keepdims=True)
@@ -78,10 +76,10 @@ def standard_error(delta: Floats, *, row_wise: bool) -> Floats:
 
 @dataclass(frozen=True)
 class Edges:
-    """What is ranked in a stretch of timesteps: which senders of each row, and how many budgets there are."""
+    """The edges ranked in a chunk of timesteps: the senders of each row, and the number of budgets."""
 
     senders: Bools  # (S, N, N)
-    always: Bools  # (N, N): kept in subgraph and complement alike
+    always: Bools  # (N, N): kept in both subgraph and complement
     n_budgets: int
 
     def at(self, steps: slice) -> Edges:
@@ -95,7 +93,7 @@ class Edges:
         return cls(existing & ~always, always, max(n_agents - 1 - own_kept, 0))
 
     def fid_delta(self, removal: Removal, kept: Bools) -> Floats:
-        """(C, S, N, N) -> (C, S, N): d_i of the complement less d_i of what is kept."""
+        """(C, S, N, N) -> (C, S, N): d_i of the complement less d_i of the kept edges."""
         if not len(kept):
             return np.zeros(kept.shape[:-1])
         sides = np.stack([kept | self.always, ~kept | self.always])
@@ -104,14 +102,14 @@ class Edges:
 
 
 def kept_by(places: NDArray[np.int64], edges: Edges) -> Bools:
-    """(S, N, N) places -> (K, S, N, N): the k first of each row's own senders."""
+    """(S, N, N) places -> (K, S, N, N): the first k of each row's senders."""
     k = np.arange(1, edges.n_budgets + 1)[:, None, None, None]
     return np.asarray((places < k) & edges.senders)
 
 
 @dataclass
 class Best:
-    """The best masks of each budget that were met, and their FidDelta."""
+    """The best masks found so far for each budget, and their FidDelta."""
 
     row_wise: bool
     value: Floats  # (K, S, U)
@@ -126,28 +124,28 @@ class Best:
             np.zeros((edges.n_budgets, *edges.senders.shape), dtype=bool),
         )
 
-    def worth(self, delta: Floats) -> Floats:
+    def per_unit(self, delta: Floats) -> Floats:
         """(..., S, N) FidDelta of receivers -> (..., S, U)."""
         return delta if self.row_wise else delta.mean(axis=-1, keepdims=True)
 
     def take(self, kept: Bools, delta: Floats) -> None:
-        """(K, S, N, N) masks with their (K, S, N) FidDelta: keeps what is better than before."""
-        value = self.worth(delta)
-        better = ~(value <= self.value)  # what is not a number stays seen
+        """Take over (K, S, N, N) masks with (K, S, N) FidDelta where they are better."""
+        value = self.per_unit(delta)
+        better = ~(value <= self.value)  # NaN counts as better, so that it stays visible
         self.value = np.where(better, value, self.value)
         self.kept = np.where(better[..., None], kept, self.kept)
 
     def of_all(self, removal: Removal, edges: Edges) -> Bools:
-        """(S, N, N): the best of any budget, and of keeping everything."""
+        """(S, N, N): the best mask of any budget, including the one that keeps everything."""
         everything = edges.senders[None]
-        value = np.concatenate([self.value, self.worth(edges.fid_delta(removal, everything))])
+        value = np.concatenate([self.value, self.per_unit(edges.fid_delta(removal, everything))])
         kept = np.concatenate([self.kept, everything])
         best = value.argmax(axis=0)  # (S, U)
         return np.asarray(np.take_along_axis(kept, best[None, ..., None], axis=0)[0])
 
 
 def greedy(removal: Removal, edges: Edges, best: Best, *, rising: bool) -> None:
-    """Hands `best` the masks of a chain, see above. rising: it begins with no edge, else with all."""
+    """Add the masks of a greedy chain to `best`, see above. rising: begin with no edge, else with all."""
     senders = edges.senders
     n_steps, n_agents, _ = senders.shape
     degree = senders.sum(axis=-1)
@@ -168,11 +166,11 @@ def greedy(removal: Removal, edges: Edges, best: Best, *, rising: bool) -> None:
             for c in range(count):
                 valid = np.take_along_axis(free, choice[..., c, None], axis=-1)[..., 0]
                 tried[c, step, rows, choice[..., c]] ^= valid
-            worth = best.worth(edges.fid_delta(removal, tried))  # (C, S, U)
+            value = best.per_unit(edges.fid_delta(removal, tried))  # (C, S, U)
             if best.row_wise:
-                worth = worth[..., rows]
+                value = value[..., rows]
             there = np.moveaxis(np.take_along_axis(free, choice, axis=-1), -1, 0)  # (C, S, rows)
-            chosen = np.where(there, worth, -np.inf).argmax(axis=0)  # (S, rows)
+            chosen = np.where(there, value, -np.inf).argmax(axis=0)  # (S, rows)
             moved = np.take_along_axis(choice, chosen[..., None], axis=-1)[..., 0]
             kept[step, rows, moved] ^= moving
         found[k - 1] = kept
@@ -180,9 +178,9 @@ def greedy(removal: Removal, edges: Edges, best: Best, *, rising: bool) -> None:
 
 
 def ascend(removal: Removal, edges: Edges, best: Best) -> None:
-    """Coordinate ascent over the rows of the best masks, where the best is taken of whole masks.
+    """Coordinate ascent over the rows of the best masks, if the best is taken over whole masks.
 
-    Each row in turn swaps the kept edge and the dropped one that raise FidDelta most, SWEEPS times over all.
+    Each row in turn swaps the kept and the dropped edge that raise FidDelta most, in SWEEPS sweeps.
     """
     n_steps, n_agents, _ = edges.senders.shape
     step = np.arange(n_steps)
@@ -198,9 +196,9 @@ def ascend(removal: Removal, edges: Edges, best: Best) -> None:
             for c, pair in enumerate(pairs):
                 there = swaps[:, pair[0], pair[1]]
                 tried[c, :, i, pair] ^= there
-            worth = best.worth(edges.fid_delta(removal, tried))[..., 0]  # (C, S)
-            chosen = worth.argmax(axis=0)
-            better = ~(worth[chosen, step] <= value)
-            value = np.where(better, worth[chosen, step], value)
+            found = best.per_unit(edges.fid_delta(removal, tried))[..., 0]  # (C, S)
+            chosen = found.argmax(axis=0)
+            better = ~(found[chosen, step] <= value)
+            value = np.where(better, found[chosen, step], value)
             kept = np.where(better[:, None, None], tried[chosen, step], kept)
         best.kept[k], best.value[k, :, 0] = kept, value

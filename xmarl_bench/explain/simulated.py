@@ -15,12 +15,12 @@ from torch import Tensor
 from xmarl_bench.policy import Policy
 from xmarl_bench.rollout.simulator import Simulator
 
-SIMULATOR: Final = "simulator"  # the parameter that is given one, and what entries call this access
+SIMULATOR: Final = "simulator"  # name of the parameter, and of this access in entries
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """What explains with the simulator of the episode at hand.
+    """A callable that explains with the simulator of the explained episode.
 
     function: policy, observations (S, N, D) of that episode, generator, simulator -> mask (S, N, N).
     """

@@ -1,1 +1,1 @@
-"""Do the metrics measure what they say? Tests of them on truth that is known or degraded in known steps."""
+"""Tests of the metrics: do they measure what they claim, on known truth and on degraded rankings?"""

@@ -1,7 +1,7 @@
-"""Do metrics order explainers alike, and do absence models? Spearman's correlations as a matrix.
+"""How far metrics, and absence models, agree on the order of explainers: matrices of Spearman's correlations.
 
-Each policy orders its explainers by each metric; two metrics agree as far as their orders correlate, mean
-over policies. Values are oriented, so 1 is the same verdict, whichever end of a metric is better.
+Each policy orders its explainers by each metric; the agreement of two metrics is the correlation of their
+orders, mean over policies. Values are oriented so that higher is better, so 1 means the same order.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.table import Direction, by_name
 from xmarl_bench.scoring.states import States
 
-FEWEST: Final = 5  # explainers that have a value of both metrics: of fewer an order says little
+MIN_EXPLAINERS: Final = 5  # with values of both metrics: an order of fewer means little
 Floats = NDArray[np.float64]
 Scores = Mapping[str, Mapping[str, float | None]]  # explainer -> metric -> value, of one policy
 
 
 def rank_agreement(policies: Iterable[Scores], metrics: Sequence[str]) -> Floats:
-    """-> (M, M), NaN where no policy has FEWEST explainers with both."""
+    """(M, M) agreement of metrics; NaN if no policy has MIN_EXPLAINERS explainers with both."""
     found = [_of_policy(scores, metrics) for scores in policies]
     if not found:
         return np.full((len(metrics), len(metrics)), np.nan)
@@ -35,7 +35,7 @@ def rank_agreement(policies: Iterable[Scores], metrics: Sequence[str]) -> Floats
 
 
 def scores_of_board(board: Mapping[str, Any]) -> list[Scores]:
-    """Of each policy of a leaderboard's JSON that passes the gate: explainers, without controls."""
+    """Scores of each policy of a leaderboard's JSON that passes the gate, without controls."""
     return [
         {
             row["explainer"]: {name: summary and summary["value"] for name, summary in row["metrics"].items()}
@@ -49,7 +49,7 @@ def scores_of_board(board: Mapping[str, Any]) -> list[Scores]:
 
 
 def scores_of_planted(found: Sequence[PlantedScore]) -> list[Scores]:
-    """Of each planted policy: budgeted fidelity under each absence model."""
+    """Scores of each planted policy: budgeted fidelity under each absence model."""
     policies: dict[tuple[str, int], dict[str, Mapping[str, float | None]]] = {}
     for each in found:
         if each.error is None and not each.control:
@@ -58,9 +58,9 @@ def scores_of_planted(found: Sequence[PlantedScore]) -> list[Scores]:
 
 
 def absences_agree(states: Iterable[States]) -> Floats:
-    """(4, 4): rank correlation of who matters to a receiver, by Shapley values under two absence models.
+    """(4, 4): rank correlation of the Shapley values of a receiver's messages under two absence models.
 
-    It is the mean over the states of episodes; those without one of the models are left out.
+    Mean over episodes. Skips episodes without one of the models.
     """
     found = []
     for each in states:
@@ -76,7 +76,7 @@ def _of_policy(scores: Scores, metrics: Sequence[str]) -> Floats:
     for a, one in enumerate(values):
         for b, other in enumerate(values):
             both = ~np.isnan(one) & ~np.isnan(other)
-            if both.sum() >= FEWEST:
+            if both.sum() >= MIN_EXPLAINERS:
                 agreement[a, b] = rank_correlation(one[both].round(6), other[both].round(6))
     return agreement
 

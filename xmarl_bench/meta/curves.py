@@ -1,7 +1,7 @@
-"""What every metric says of a right ranking that gets worse in known steps.
+"""Values of every metric for a right ranking that gets worse in known steps.
 
-On planted policies the right ranking is the truth. On trained ones it is that of Shapley values under one
-absence model, for each of the four in turn, and no metric under the same model is read then: message fidelity
+On planted policies, the right ranking is the truth. On trained ones, it is that of Shapley values under one
+absence model, for each of the four in turn. Metrics under the same model are then not used: message fidelity
 is the mean over the other three (xmarl_bench.meta.right_ranking).
 """
 
@@ -45,7 +45,7 @@ class Curve:
 
     policy: str
     form: Form
-    right: Absence | None  # the model whose Shapley values are the right ranking; None is planted truth
+    right: Absence | None  # absence model of the Shapley values of the right ranking; None: planted truth
     metric: str
     values: tuple[float, ...]
 
@@ -69,7 +69,7 @@ def is_higher_better(metric: str) -> bool:
 
 
 def planted_curves(*, sizes: Sequence[int] = SIZES, n_steps: int = 50, seed: int = 0) -> Iterator[Curve]:
-    """Of every family and team size."""
+    """Curves of every family and team size."""
     for family, rule in FAMILIES.items():
         for n_agents in sizes:
             if n_agents < rule.min_agents:
@@ -89,7 +89,7 @@ def planted_curves(*, sizes: Sequence[int] = SIZES, n_steps: int = 50, seed: int
 def trained_curves(
     policy: Policy, card: PolicyCard, *, episodes: int = 10, timesteps: int = 20, seed: int = 0
 ) -> Iterator[Curve]:
-    """Of one trained policy, on states of its scoring episodes."""
+    """Curves of one trained policy, on states of its scoring episodes."""
     measured: dict[tuple[Form, Absence, str], list[list[float]]] = {}
     with one_thread():
         for states, rng in states_of(policy, card, episodes=episodes, timesteps=timesteps, seed=seed):
@@ -109,7 +109,7 @@ def trained_curves(
 def states_of(
     policy: Policy, card: PolicyCard, *, episodes: int, timesteps: int | None, seed: int
 ) -> Iterator[tuple[States, np.random.Generator]]:
-    """The states of each of the first scoring episodes, and what their draws come from."""
+    """The states of each of the first scoring episodes, with a random generator."""
     reference = reference_states(policy, card.task, card.n_agents)
     for episode in roll_out(make_task(card.task, card.n_agents), policy, episode_seeds(seed, episodes)):
         rng = np.random.default_rng(derived_seed("meta", seed, card.name, episode.seed))
@@ -118,7 +118,7 @@ def states_of(
 
 
 def followed(curves: Sequence[Curve], metric: str, form: Form) -> Followed:
-    """Over the curves of a metric in one form; NaN where it was not measured."""
+    """How well a metric follows the steps, over its curves in one form; NaN if it was not measured."""
     asked = [each for each in curves if (each.metric, each.form) == (metric, form)]
     within = [each.follows for each in asked]
     pooled = [value for each in asked for value in each.values]
@@ -127,7 +127,7 @@ def followed(curves: Sequence[Curve], metric: str, form: Form) -> Followed:
 
 
 def _steps(states: States, right: Tensor, form: Form, rng: np.random.Generator) -> list[Row]:
-    """All metrics at each step of NOISE; NaN where one has no value."""
+    """All metrics at each step of NOISE; NaN if one has no value."""
     rows = []
     for step, noise in enumerate(NOISE):
         row = states.mask_metrics(in_form(degraded(right, noise, rng), form, step))
@@ -136,7 +136,7 @@ def _steps(states: States, right: Tensor, form: Form, rng: np.random.Generator) 
 
 
 def _without(row: Mapping[str, float], right: Absence, metric: str) -> float:
-    """The metric, without the absence model that the right ranking is of."""
+    """The metric, without the absence model of the right ranking."""
     if metric not in OVER_ABSENCES:
         return row[metric]
     others = [row[name] for name, model in MODEL_OF.items() if model is not right]

@@ -1,8 +1,8 @@
-"""Degenerate explanations, made of right ones: what metrics say of them, and which check finds them.
+"""Degenerate explanations, made from right ones: their metrics, and the checks that find them.
 
 All but the constant are as detailed as the right ranking, Shapley values of messages, and wrong in a known
-way. A metric cannot be expected to find each: where states change slowly, the mask of the state before is
-nearly right. The checks of an explainer have to.
+way. Metrics cannot find each of them: if states change slowly, the mask of the previous state is nearly
+right. The checks of explainers must find all.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ CHECKED: Final = {**DEGENERATE_CHECKS, "order of timesteps": CHECKS["order of ti
 
 @dataclass(frozen=True)
 class Degenerate:
-    """What metrics say of an explanation of one policy, and the checks that it fails."""
+    """Metrics of an explanation of one policy, and the checks that it fails."""
 
     policy: str
     kind: str
@@ -74,7 +74,7 @@ def failed_checks(explain: Explain, policy: Policy, observations: Tensor) -> tup
 
 
 def kinds_of(other: Policy) -> dict[str, Explain]:
-    """Name -> what says it: the right ranking first."""
+    """Name -> explanation, the right ranking first."""
     changes: dict[str, Callable[[Tensor], Tensor]] = {
         "constant": torch.ones_like,
         "first state for all": lambda mask: mask[:1].expand_as(mask).clone(),

@@ -1,11 +1,11 @@
-"""A right ranking of messages, made worse in known steps: what a metric of rankings has to follow.
+"""Makes a right ranking of messages worse in known steps, which a metric of rankings must follow.
 
-The values of a row stay the same and go to other senders, so every step keeps as much as the right mask does,
-and nothing but the ranking gets worse. In the second form the worse a ranking is the more its mask keeps, by
-a monotone change of its values, which does not move a metric that reads the ranking.
+The values of a row stay the same and go to other senders, so every step keeps as much as the right mask, and
+only the ranking gets worse. In the second form, masks of worse rankings keep more, by a monotone change of
+their values, which does not change a metric of the ranking.
 
-After the evaluation of F-Fidelity (Zheng et al., ICLR 2025), in which a metric has to recover the order of an
-explainer and degraded versions of it. Here the right ranking is known, or stated, not an explainer's.
+As in the evaluation of F-Fidelity (Zheng et al., ICLR 2025), in which a metric must recover the order of an
+explainer and degraded versions of it. Here the right ranking is known or assumed, not an explainer's.
 
 S is the number of timesteps, N agents.
 """
@@ -36,9 +36,9 @@ class Form(StrEnum):
 
 
 def degraded(mask: Tensor, noise: float, rng: np.random.Generator) -> Tensor:
-    """(S, N, N) -> (S, N, N): every row's values in the order of value + noise; own edges stay.
+    """(S, N, N) -> (S, N, N): every row's values in the order of value + noise; own edges are unchanged.
 
-    mask: values in [0, 1] that say how high a message ranks. Noise is normal and independent.
+    mask: values in [0, 1] by which messages rank. Noise is normal and independent.
     """
     value = other_senders(mask.numpy().astype(np.float64))
     order = np.argsort(-(value + noise * rng.normal(size=value.shape)), axis=-1, kind="stable")
@@ -56,7 +56,7 @@ def in_form(mask: Tensor, form: Form, step: int) -> Tensor:
 
 
 def with_messages(mask: Tensor, messages: Floats) -> Tensor:
-    """(S, N, N) own edges, (S, N, N - 1) messages by rising sender -> (S, N, N)."""
+    """(S, N, N) own edges, (S, N, N - 1) messages in ascending order of senders -> (S, N, N)."""
     n_agents = mask.shape[-1]
     whole = mask.clone()
     off_diagonal = ~torch.eye(n_agents, dtype=torch.bool)
@@ -65,9 +65,9 @@ def with_messages(mask: Tensor, messages: Floats) -> Tensor:
 
 
 def follows(values: Sequence[float], noise: Sequence[float], *, higher_is_better: bool) -> float:
-    """Spearman's correlation of a metric with how right the ranking is: 1 if it falls at every step.
+    """Spearman's correlation of a metric with the quality of the ranking: 1 if it gets worse at every step.
 
-    0 if the metric says the same of all. `noise` may hold a value several times, as over policies.
+    0 if the metric is constant. `noise` may hold a value several times, as over policies.
     """
     from scipy.stats import rankdata
 

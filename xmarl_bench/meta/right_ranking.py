@@ -1,9 +1,9 @@
 """The right ranking of messages: the truth of planted policies, Shapley values of trained ones.
 
-On a trained policy nobody knows which messages matter. What comes nearest is each message's Shapley value,
-exact, from the table of what every set of kept messages does: unlike occlusion it sees redundancy. But it
-needs an absence model, and a metric under the same model would be tested on its own definition (at N = 3
-the two agree by identity). So a ranking under one absence model only tests metrics under the others.
+On a trained policy the relevant messages are unknown. The best substitute is each message's exact Shapley
+value, from the table of the effects of all sets of kept messages: unlike occlusion, it detects redundancy.
+But it needs an absence model, and a metric under the same model would be tested on its own definition (at N =
+3 the two are identical). So a ranking under one absence model tests only metrics under the others.
 
 S is the number of timesteps, N agents, M = N - 1 senders.
 """
@@ -54,12 +54,12 @@ def ranking_mask(values: Floats) -> Tensor:
 
 
 def shapley_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-    """(S, N, D) -> (S, N, N): messages by their Shapley value under `zero`, as an explainer would say it."""
+    """(S, N, D) -> (S, N, N): an explainer that ranks messages by their Shapley values under `zero`."""
     return ranking_mask(shapley_values(fid_delta_table(others_table(change_table(policy, observations)))))
 
 
 def true_mask(truth: Planted) -> Tensor:
-    """(S, N, N): 1 for relevant messages and own edges, 0 for others; one value where the rule is silent."""
+    """(S, N, N): 1 for relevant messages and own edges, 0 for others; 0.5 where the rule does not apply."""
     n_agents = truth.relevant.shape[-1]
     mask = np.where(truth.counted[..., None], truth.relevant, 0.5) + 0.0
     mask[:, np.arange(n_agents), np.arange(n_agents)] = 1.0

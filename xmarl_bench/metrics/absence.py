@@ -1,4 +1,4 @@
-"""The names of the absence models; `xmarl_bench.explain.absence` says what each puts in a message's place."""
+"""The names of the absence models, which `xmarl_bench.explain.absence` defines."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ class Absence(StrEnum):
 
     @property
     def prefix(self) -> str:
-        """Of what entries name by it. Zero is that of all communication-only metrics."""
+        """The prefix of its metrics in entries. Communication-only metrics use zero."""
         return "comm" if self is Absence.ZERO else self.value

@@ -1,11 +1,11 @@
 """Performance profiles: the share of training runs that score above tau, for every tau.
 
 The run-score distribution of Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
-Statistical Precipice": a curve says more than a mean, and one that lies above another everywhere is of the
-better competitor. Theirs has the band of a stratified bootstrap, which has no width at all where a cell has
-a single run, or where all runs lie on one side of tau. Ours is the exact binomial interval of Clopper and
-Pearson (1934), tau by tau: it covers at least as often as it says at any number of runs, and with runs of
-several cells, whose chances differ, more often (Hoeffding 1956).
+Statistical Precipice": a competitor whose curve is above another everywhere is better. Their band is a
+stratified bootstrap, which has no width if a cell has a single run, or if all runs are on one side of tau.
+Ours is the exact binomial interval of Clopper and Pearson (1934) at each tau: it has at least its nominal
+coverage for any number of runs, and more for runs of several cells with different probabilities (Hoeffding
+1956).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Profile:
 
 
 def performance_profile(scores: ArrayLike, confidence: float = CONFIDENCE) -> Profile:
-    """(G,) scores of training runs -> the share of them above tau. What is not a number is left out."""
+    """(G,) scores of training runs -> the share of them above tau. Skips scores that are not numbers."""
     x = np.asarray(scores, dtype=np.float64)
     x = x[~np.isnan(x)]
     taus, counts = np.unique(x, return_counts=True)
@@ -41,8 +41,8 @@ def performance_profile(scores: ArrayLike, confidence: float = CONFIDENCE) -> Pr
 
 
 def share_interval(successes: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Clopper and Pearson's interval of a chance of which so many of the trials came out; [0, 1] of none."""
-    from scipy.special import betaincinv  # here, for whoever only reads entries need not wait for scipy
+    """Clopper and Pearson's interval of the probability of a success; [0, 1] without trials."""
+    from scipy.special import betaincinv  # imported lazily: reading entries does not need scipy
 
     tail = (1.0 - confidence) / 2
     low = 0.0 if successes == 0 else betaincinv(successes, trials - successes + 1, tail)

@@ -25,7 +25,7 @@ MAX_LAYER_WIDTH = 4096  # of all heads together
 
 
 def raw_width(kind: DistributionKind, action_dim: int) -> int:
-    """How many numbers a decoder gives per agent. action_dim: entries of an action, or numbered actions."""
+    """Number of decoder outputs per agent. action_dim: number of action entries, or of discrete actions."""
     return 2 * action_dim if kind in ("tanh_normal", "normal") else action_dim
 
 
@@ -34,15 +34,15 @@ class _Record(BaseModel):
 
 
 class Memory(_Record):
-    """A recurrent cell that all agents share, each with a memory of its own, and its place in the network.
+    """A recurrent cell shared by all agents, each with its own memory, and the cell's place in the network.
 
     A memory is 0 before the first timestep. torch's `GRUCell` and `LSTMCell`, a single layer.
     """
 
     cell: Literal["gru", "lstm"]
-    width: Width  # of what it gives
-    # Message-passing layers before it. 0: it gets what the encoder gives, so a message tells what its sender
-    # remembers. After the last: it gets what an agent heard, and its output goes to the decoder.
+    width: Width  # of its output
+    # Number of message-passing layers before it. 0: its input is the encoder's output, so messages depend on
+    # the sender's memory. After the last layer: its input is that layer's output, and the decoder follows.
     after: Annotated[int, Field(ge=0, le=8)] = 0
 
     @property
@@ -51,7 +51,7 @@ class Memory(_Record):
         return self.width if self.cell == "gru" else 2 * self.width
 
 
-# Not written where there is none: records from before it was a field keep their hash.
+# Not written if None, so that records without this field keep their hash.
 OptionalMemory = Annotated[Memory | None, Field(exclude_if=lambda memory: memory is None)]
 
 
@@ -66,8 +66,8 @@ class _Network(_Record):
     def _check_place(self, n_layers: int) -> None:
         if self.memory is not None and self.memory.after > n_layers:
             raise ValueError(
-                f"the memory is after layer {self.memory.after}, and there are {n_layers}: 0 is before the "
-                f"first"
+                f"the memory is after layer {self.memory.after}, but there are {n_layers}: give one from "
+                f"0 (before the first) to {n_layers}"
             )
 
 

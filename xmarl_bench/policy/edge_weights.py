@@ -1,4 +1,4 @@
-"""Masks as torch_geometric's models take them: a weight for each edge, and which team each agent is in.
+"""Masks in the form of torch_geometric's models: a weight for each edge, and the team of each agent.
 
 Libraries written for such models call `model(x, edge_index, edge_weight=..., batch=...)`.
 """
@@ -34,7 +34,7 @@ def checked_weights(
     n_edges = edge_index.shape[1]
     if not weight.is_floating_point():
         raise InputError(
-            f"{name} is of {weight.dtype}: give floating-point numbers, and teams by name, as batch=..."
+            f"{name} has dtype {weight.dtype}: give floating-point numbers, and teams by name, as batch=..."
         )
     if tuple(weight.shape) not in ((n_edges,), (n_edges, 1)):
         raise InputError(

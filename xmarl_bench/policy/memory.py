@@ -1,6 +1,6 @@
-"""Recurrent cells of the closed list: what an agent remembers goes in and comes out as one tensor.
+"""Recurrent cells of the closed list, with an agent's memory as one tensor.
 
-n rows (or any leading axes), H numbers to remember of each.
+n rows (or any leading axes), H numbers of memory in each.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ Cell = nn.GRUCell | nn.LSTMCell
 
 
 def recurrent_cell(memory: Memory, widths: list[int]) -> Cell:
-    """torch's cell of a record, with its initial weights.
+    """torch's cell for a record, with initial weights.
 
-    widths: of what goes into each layer and, last, the decoder; the cell's own takes the place of one.
+    widths: input widths of each layer and, last, of the decoder; the cell's width replaces one of them.
     """
     n_in, widths[memory.after] = widths[memory.after], memory.width
     return (nn.GRUCell if memory.cell == "gru" else nn.LSTMCell)(n_in, memory.width)
@@ -25,10 +25,10 @@ def recurrent_cell(memory: Memory, widths: list[int]) -> Cell:
 def remember(
     record: Memory | None, cell: Cell | None, place: int, x: Tensor, memory: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """(..., n_in), (..., H) -> (..., width) what the cell gives, (..., H) what is remembered next.
+    """(..., n_in), (..., H) -> (..., width) output of the cell, (..., H) next memory.
 
-    Both stay what they are where the cell has another place, or there is none. `memory` may lack leading axes
-    that x has. An LSTM's is its output, then its cell state.
+    Returns both unchanged if the cell is at another place, or if there is none. `memory` may lack leading
+    axes of x. An LSTM's memory is its output, then its cell state.
     """
     if record is None or cell is None or record.after != place:
         return x, memory

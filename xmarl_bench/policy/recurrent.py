@@ -1,9 +1,9 @@
-"""Networks that remember: what they declare, and how the harness runs them.
+"""Networks with memory: what they declare, and how the harness runs them.
 
-A state is a tensor (n, h), a row for each agent, or a tuple of such, as the (h, c) of an LSTM. The harness
-keeps it: an episode records it as H more entries of each agent's observation, behind those of the task. So
-whatever is asked about a recorded timestep is answered from the state that the team had come to, and
-explainers and metrics need not know that there is one.
+A state is a tensor (n, h), a row for each agent, or a tuple of such tensors, as the (h, c) of an LSTM. The
+harness keeps it: an episode records it as H more entries of each agent's observation, after those of the
+task. So every recorded timestep is explained from the team's state at that timestep, and explainers and
+metrics need no special case.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ State = Tensor | tuple[Tensor, ...]
 
 
 class RecurrentNetwork(Protocol):
-    """What a network with memory has in place of `forward`; n agents, of one team or of many."""
+    """The methods of a network with memory, instead of `forward`. n agents, of one team or of many."""
 
     def initial_state(self, n: int) -> State:
         """A row for each agent, before the first timestep of an episode."""
@@ -29,12 +29,12 @@ class RecurrentNetwork(Protocol):
 
 
 def is_recurrent(network: object) -> TypeGuard[RecurrentNetwork]:
-    """Whether it declares a memory."""
+    """Whether the network declares a memory."""
     return all(callable(getattr(network, name, None)) for name in ("initial_state", "step"))
 
 
 def initial_state(network: nn.Module, n: int) -> Tensor:
-    """(n, H); H is 0 where the network is not recurrent. Raises InputError where that is no state."""
+    """(n, H); H is 0 if the network is not recurrent. Raises InputError if its state is invalid."""
     if not is_recurrent(network):
         return torch.zeros(n, 0)
     try:
@@ -42,14 +42,14 @@ def initial_state(network: nn.Module, n: int) -> Tensor:
             state = network.initial_state(n)
     except Exception as error:
         raise InputError(
-            f"initial_state of {type(network).__name__} stopped ({type(error).__name__}: {error}): it takes "
-            f"the number of agents."
+            f"initial_state of {type(network).__name__} failed ({type(error).__name__}: {error}): make it "
+            f"take the number of agents."
         ) from error
     return torch.cat(_parts(network, "initial_state", state, n), dim=1).detach()
 
 
 def run(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
-    """(n, D + H), (2, edges) -> (n, W + H): the network's output of width W, and what is remembered then."""
+    """(n, D + H), (2, edges) -> (n, W + H): the network's output of width W, then the next memory."""
     if not is_recurrent(network):
         plain: Tensor = network(x, edge_index)
         return plain
@@ -61,14 +61,14 @@ def run(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
     output, after = pair
     if not (isinstance(output, Tensor) and output.dim() == 2 and len(output) == len(x)):
         raise InputError(
-            f"step of {type(network).__name__} returned something else than an output ({len(x)}, width) and "
-            f"the next state: return this pair."
+            f"step of {type(network).__name__} did not return an output ({len(x)}, width) and the next "
+            f"state: return this pair."
         )
     parts = _parts(network, "step", after, len(x))
     if [part.shape[1] for part in parts] != widths:
         raise InputError(
             f"step of {type(network).__name__} returned a state of widths "
-            f"{[part.shape[1] for part in parts]}, initial_state one of {widths}: return the same."
+            f"{[part.shape[1] for part in parts]}, but initial_state of {widths}: return the same widths."
         )
     return torch.cat([output, *parts], dim=1)
 

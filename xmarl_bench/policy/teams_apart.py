@@ -1,10 +1,10 @@
-"""Many teams in one forward pass, each to the bit as if it were alone.
+"""Many teams in one forward pass, each with the same bits as alone.
 
-A matrix product over all rows of a batch rounds by the size of the batch. Here each team is a product of its
-own (`torch.bmm`), and widths are filled up with zeros to whole vectors: every team's memory then begins where
-a vector does, and no elementwise function meets a remainder, which torch rounds differently.
+Rounding of a matrix product over a batch depends on the size of the batch. Here each team has its own product
+(`torch.bmm`), and widths are padded with zeros to whole vectors: every team's memory then begins at a
+vector's boundary, and no elementwise function has a remainder, which torch rounds differently.
 
-B is the number of teams, N agents, D observation entries, H what an agent remembers, A action entries.
+B is the number of teams, N agents, D observation entries, H entries of memory, A action entries.
 """
 
 from __future__ import annotations
@@ -21,24 +21,25 @@ from xmarl_bench.policy.distribution import action_distribution
 from xmarl_bench.policy.interface import Policy
 from xmarl_bench.policy.network import GraphPolicy
 
-VECTOR = 32  # float32 numbers: two of a CPU's widest vectors, which is how far torch unrolls its loops
+VECTOR = 32  # float32 numbers: two of a CPU's widest vectors, because torch unrolls its loops by two
 
-# (B, N, D + H), mask (N, N) or None -> actions (B, N, A) or (B, N), what is remembered next (B, N, H).
+# (B, N, D + H), mask (N, N) or None -> actions (B, N, A) or (B, N), next memory (B, N, H).
 StepTeams = Callable[[Tensor, Tensor | None], tuple[Tensor, Tensor]]
 
 
 def step_teams(policy: Policy) -> StepTeams:
-    """The policy as it acts in rollouts: a team's action depends on its own observations alone, to the bit.
+    """The policy as it acts in rollouts: the bits of a team's action depend on its own observations only.
 
-    One attention layer on the complete graph, without memory, is computed for all teams at once; any other
-    network for one team after the other. Tensors given have to be allocated by torch, which aligns them.
+    A network with one attention layer on the complete graph and without memory runs for all teams at once,
+    any other network for one team at a time. torch must have allocated the input tensors, because it aligns
+    them.
     """
     private = copy.deepcopy(policy).eval().requires_grad_(False)  # torch aligns the copy's memory
     if isinstance(private, GraphPolicy) and private.memory_dim == 0:
         return _AllAtOnce(private)
 
     def one_by_one(observation: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor]:
-        # Strides count too: an axis of size 1 may have any, and products choose their way by them.
+        # Strides matter too: an axis of size 1 may have any stride, and matrix products depend on it.
         teams = [team.clone(memory_format=torch.contiguous_format) for team in observation.split(1)]
         steps = [private.step(team, mask) for team in teams]
         choices, memories = zip(*((taken.choice, memory) for taken, memory in steps), strict=True)
@@ -76,7 +77,7 @@ class _AllAtOnce:
 
 
 class _TeamLinear(nn.Module):
-    """A linear layer on widths filled up to whole vectors, as a product for each team."""
+    """A linear layer on widths padded to whole vectors, with a product for each team."""
 
     def __init__(self, layer: nn.Module) -> None:
         super().__init__()
@@ -96,5 +97,5 @@ def _team_by_team(layers: nn.Sequential) -> nn.Sequential:
 
 
 def _filled(x: Tensor) -> Tensor:
-    """(..., n) -> the same and zeros, up to whole vectors."""
+    """(..., n) -> padded with zeros to whole vectors."""
     return F.pad(x.detach(), (0, -x.shape[-1] % VECTOR))

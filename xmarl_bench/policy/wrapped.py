@@ -6,7 +6,7 @@ from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 
-COMPILED = "_orig_mod"  # torch.compile's name of the network inside, which saved state dicts hold too
+COMPILED = "_orig_mod"  # torch.compile's name of the network inside, also in saved state dicts
 WRAPPERS = (nn.DataParallel, DistributedDataParallel, AveragedModel)  # their network is `module`
 
 

@@ -1,4 +1,4 @@
-"""The world of one episode, restarted at any moment that its team observed."""
+"""Restarts the world of one episode at any timestep that its team observed."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ STATE_NAMES = ("position_x", "position_y", "velocity_x", "velocity_y")  # entrie
 class Simulator:
     """Restarts an episode's world.
 
-    Agents are where their observations say, targets and walls where the seed puts them. Observations are
-    float32, and the contacts that the engine remembers are lost: a restarted episode agrees with the recorded
-    one up to rounding, which a contact amplifies.
+    Observations give the positions of agents, the seed those of targets and walls. Observations are float32,
+    and cached contacts of the engine are lost: a restarted episode agrees with the recorded one up to
+    rounding, which a contact amplifies.
     """
 
     task: str

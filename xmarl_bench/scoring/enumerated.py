@@ -1,4 +1,4 @@
-"""Scores of rankings, between a random one and the best of all rows.
+"""Scores rankings between a random one and the best of all rows.
 
 S is the number of timesteps, N agents, D observation entries.
 """
@@ -53,7 +53,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Enumerated:
-    """Scores masks if every row was tried."""
+    """Scores masks from tables of all rows."""
 
     all_edges: Table
     messages: dict[Absence, Table]

@@ -1,4 +1,4 @@
-"""Scores of rankings, between estimates of a random one and of the best: see explain/sampled_oracle.py.
+"""Scores rankings between estimates of a random one and of the best: see explain/sampled_oracle.py.
 
 S is the number of timesteps, N agents, D observation entries, K budgets: k = 1 .. M - 1 of M senders.
 """
@@ -37,7 +37,7 @@ Bools = NDArray[np.bool_]
 
 
 class Stretch(NamedTuple):
-    """Timesteps that are decoded at once."""
+    """Timesteps decoded at once."""
 
     steps: slice
     edges: Edges
@@ -46,7 +46,7 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True)
 class Sample:
-    """Random masks and the best that a search found, under one absence model."""
+    """Random masks and the best masks found by a search, under one absence model."""
 
     stretches: Sequence[Stretch]
     drawn: NDArray[np.int64]  # (DRAWS, S, N, N): places of the senders in the random orders
@@ -78,7 +78,7 @@ class Sample:
             explained = np.concatenate(parts, axis=2).mean(axis=(0, 2, 3))
         if self.random is None or self.oracle is None:
             return Ranked(explained, None, None, math.nan)
-        oracle = np.maximum(self.oracle, explained)  # the best known, this mask included
+        oracle = np.maximum(self.oracle, explained)  # the best known, including this mask
         budgeted = budgeted_fidelity(explained, self.random, oracle)
         return Ranked(explained, self.random, oracle, budgeted, self.random_error)
 
@@ -100,14 +100,14 @@ class Sample:
 
 
 def _fid_delta(stretch: Stretch, places: NDArray[np.int64]) -> Floats:
-    """(D, S, N, N) -> (D, K, s, N): FidDelta of the k first of every row, of this stretch."""
+    """(D, S, N, N) -> (D, K, s, N): FidDelta of the first k of every row, for this stretch."""
     steps, edges, removal = stretch
     return np.stack([edges.fid_delta(removal, kept_by(each, edges)) for each in places[:, steps]])
 
 
 @dataclass(frozen=True)
 class Sampled:
-    """Scores masks if rows are too many to try, or do not act alone. Without a search: FidDelta@k only."""
+    """Scores masks if rows are too many to try, or not independent. Without a search: FidDelta@k only."""
 
     orders: Floats  # (DRAWS, S, N, N), 1 order without a search
     all_edges: Sample
@@ -180,7 +180,7 @@ class Sampled:
         )
 
     def _places(self, value: Floats, sample: Sample) -> NDArray[np.int64]:
-        """In every order that the mask allows; one if no two senders of a row are equal."""
+        """Places in every order that the mask allows; one order if no two senders of a row are equal."""
         senders = np.concatenate([each.edges.senders for each in sample.stretches])
         places = ranks(value, self.orders, senders)
         alike = (np.where(senders, places, 0) == np.where(senders, places[:1], 0)).all()

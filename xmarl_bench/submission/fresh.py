@@ -1,8 +1,8 @@
-"""The tier that scores an entry on episodes that nobody knew when it was submitted.
+"""The tier that scores an entry on episodes that were unknown when it was submitted.
 
-Their seeds are derived from a value that is fixed after the submission, never from anything in it
-(`xmarl_bench.reproducible.fresh_seeds`). An explainer that was chosen on the public episodes, or knows them,
-does worse here. Behaviour is not acted out again.
+Their seeds derive from a value that is fixed after the submission, never from the submission
+(`xmarl_bench.reproducible.fresh_seeds`). An explainer that was tuned to the public episodes does worse here.
+Behaviour is not rolled out again.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from xmarl_bench.scoring.score import entries_of, score_requests
 
 @dataclass(frozen=True)
 class Fresh:
-    """Public less fresh, cell by cell."""
+    """Differences of public and fresh scores, cell by cell."""
 
-    value: str  # from which the seeds are derived
+    value: str  # source of the seeds
     episodes: int  # of each cell
     cells: tuple[dict[str, FreshDifference], ...]
 
     def record(self) -> dict[str, object]:
-        """For programs."""
+        """The comparison for JSON."""
         cells = [{name: each.model_dump() for name, each in cell.items()} for cell in self.cells]
         return {"value": self.value, "episodes": self.episodes, "cells": cells}
 
     def block(self, by: str) -> FreshSeeds:
-        """Signed off."""
+        """The block of the entry, signed by `by`."""
         return FreshSeeds(value=self.value, by=by, when=now(), episodes=self.episodes, cells=self.cells)
 
 
 def score_fresh(entry: Entry, policy: Policy, card: PolicyCard, explainer: Explainer, value: str) -> Fresh:
     """Score as many fresh episodes of each cell as the entry has public ones, at as many timesteps.
 
-    Raises InputError if the value is no source of seeds, or the explainer fails.
+    Raises InputError if the value is not a valid source of seeds, or if the explainer fails.
     """
     protocol, cells = entry.protocol, []
     seeds = tuple(fresh_seeds(PROTOCOL, value, protocol.episodes))

@@ -183,9 +183,9 @@ def test_records_without_memory_are_written_as_before() -> None:
 
 
 def test_a_memory_after_a_missing_layer_is_refused() -> None:
-    with pytest.raises(ValidationError, match="after layer 2, and there are 1"):
+    with pytest.raises(ValidationError, match="after layer 2, but there are 1"):
         remembering("gru", 2)
-    with pytest.raises(ValidationError, match="after layer 2, and there are 1"):
+    with pytest.raises(ValidationError, match="after layer 2, but there are 1"):
         Architecture.model_validate(
             {**small_policy(6).architecture.model_dump(), "memory": dict(cell="gru", width=3, after=2)}
         )

@@ -114,11 +114,11 @@ REFUSED: dict[str, tuple[Recurrent, str]] = {
     "another state beside": (Recurrent(counts), "keeps a state between calls"),
     "no pair": (
         Recurrent(lambda self, x, edges, state: self.layer(x, edges)),
-        "something else than an output",
+        "did not return an output",
     ),
     "no output": (
         Recurrent(lambda self, x, edges, state: (state[:2], state)),
-        "something else than an output",
+        "did not return an output",
     ),
     "another width of the output": (
         Recurrent(lambda self, x, edges, state: (self.layer(x, edges)[:, :3], state)),
@@ -126,7 +126,7 @@ REFUSED: dict[str, tuple[Recurrent, str]] = {
     ),
     "another width of the state": (
         Recurrent(lambda self, x, edges, state: (self.layer(x, edges), state[:, :2])),
-        r"step of Recurrent returned a state of widths \[2\], initial_state one of \[4\]",
+        r"step of Recurrent returned a state of widths \[2\], but initial_state of \[4\]",
     ),
     "no state": (
         Recurrent(lambda self, x, edges, state: (self.layer(x, edges), None)),
@@ -148,7 +148,7 @@ REFUSED: dict[str, tuple[Recurrent, str]] = {
         Recurrent(still, lambda n: torch.zeros(1, n, 4)),
         r"returned \(1, 3, 4\) of torch.float32",
     ),
-    "stops at the start": (Recurrent(still, raising), "initial_state of Recurrent stopped .* not trained"),
+    "stops at the start": (Recurrent(still, raising), "initial_state of Recurrent failed .* not trained"),
     "takes no state": (
         Recurrent(lambda self, x, edges, state: (self.layer(x, edges), state.cell)),
         r"make its step take \(x \(n, 6\), edge_index \(2, edges\), state\)",

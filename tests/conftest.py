@@ -114,11 +114,12 @@ parser = functools.cache(typer.main.get_command)  # a program builds its parser 
 def run_cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RunCli:
     """run_cli("score", "--task", ...) -> exit code and what was printed; an uncaught exception propagates."""
     from xmarl_bench.cli import main as cli
+    from xmarl_bench.cli import program
 
     monkeypatch.setenv("XMARL_BENCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(typer.main, "get_command", parser)
     # This process is the program, and it goes on: the next command's workers need not import torch again.
-    monkeypatch.setattr(cli, "end_workers", lambda: None)
+    monkeypatch.setattr(program, "end_workers", lambda: None)
 
     def run(*arguments: object) -> Ran:
         monkeypatch.setattr(sys, "argv", ["xmarl-bench", *map(str, arguments)])

@@ -27,6 +27,8 @@ NAMING = {
     "scoring/behaviour.py": "computes those of behaviour",
     "scoring/measure.py": "computes those of sanity",
     "scoring/results.py": "keeps the fields of an episode",
+    "meta/curves.py": "tests certain metrics on degraded rankings",
+    "meta/degenerate.py": "tests certain metrics on degenerate explanations",
     "policy/default_policies.py": "ranks policies by what they can do",
     "submission/consistency.py": "which metrics follow from which",
     "board/assets/index.js": "what the page shows first, and of a policy",

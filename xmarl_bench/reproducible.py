@@ -78,7 +78,7 @@ def seeded(seed: int) -> Iterator[None]:
 
     numpy_state, python_state = np.random.get_state(), random.getstate()  # noqa: NPY002
     with torch.random.fork_rng(devices=[]):
-        torch.default_generator.manual_seed(seed)  # the CPU's; torch.manual_seed takes a hundred times as long
+        torch.default_generator.manual_seed(seed)  # of the CPU: a hundredth of torch.manual_seed
         np.random.seed(seed % 2**32)  # noqa: NPY002
         random.seed(seed)
         try:

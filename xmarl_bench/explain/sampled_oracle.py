@@ -3,7 +3,7 @@
 With several layers, F_i depends on the whole mask, so k edges are chosen from all rows at once. With one
 layer and too many agents, masks are made in the same way, and each row counts separately.
 
-random@k: the senders of every row are put in DRAWS random orders; the first k of each row make a mask, and
+random@k: the senders of every row are put in ORDERS random orders; the first k of each row make a mask, and
 random@k is the mean of its FidDelta over the orders. It is unbiased, because all choices of k edges from
 every row are equally likely. Orders come in pairs, one the reverse of the other; pairs are independent, and
 their spread gives the standard error.
@@ -41,14 +41,14 @@ from xmarl_bench.explain.absence import Removal
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-DRAWS: Final = 8  # orders: four pairs
+ORDERS: Final = 8  # orders: four pairs
 SWEEPS: Final = 2
 
 
 def random_orders(n_steps: int, n_agents: int, rng: np.random.Generator) -> Floats:
-    """(DRAWS, S, N, N) in [0, 1]: lower values come earlier in an order. Orders of a pair are adjacent."""
-    drawn = rng.random((DRAWS // 2, n_steps, n_agents, n_agents))
-    return np.stack([drawn, 1.0 - drawn], axis=1).reshape(DRAWS, n_steps, n_agents, n_agents)
+    """(ORDERS, S, N, N) in [0, 1]: lower values come earlier in an order. Orders of a pair are adjacent."""
+    drawn = rng.random((ORDERS // 2, n_steps, n_agents, n_agents))
+    return np.stack([drawn, 1.0 - drawn], axis=1).reshape(ORDERS, n_steps, n_agents, n_agents)
 
 
 def ranks(value: Floats, orders: Floats, senders: Bools) -> NDArray[np.int64]:
@@ -62,7 +62,7 @@ def ranks(value: Floats, orders: Floats, senders: Bools) -> NDArray[np.int64]:
 
 
 def standard_error(delta: Floats, *, row_wise: bool) -> Floats:
-    """(DRAWS, K, S, N) FidDelta of the random masks -> (K,): the standard error of their mean.
+    """(ORDERS, K, S, N) FidDelta of the random masks -> (K,): the standard error of their mean.
 
     Pairs of orders are independent for each row if rows are independent, else for each timestep; so are those
     of different rows, or timesteps.

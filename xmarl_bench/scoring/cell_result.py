@@ -21,7 +21,7 @@ from xmarl_bench.entry.schema import (
 )
 from xmarl_bench.explain.controls import INVERTED, RANDOM
 from xmarl_bench.explain.oracle import oracle_kind
-from xmarl_bench.explain.sampled_oracle import DRAWS
+from xmarl_bench.explain.sampled_oracle import ORDERS
 from xmarl_bench.metrics.table import GAINS
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode, mean_metrics
@@ -116,7 +116,7 @@ def _oracle(request: Request, cell: Cell, rows: Sequence[EpisodeRow]) -> OracleR
     kind = oracle_kind(request.policy, cell.n_agents)
     if kind == "sampled":
         error = sampling_error(rows)
-        return OracleRecord(kind="sampled", orders=DRAWS, error=error, definition=SAMPLED)
+        return OracleRecord(kind="sampled", orders=ORDERS, error=error, definition=SAMPLED)
     return None if kind is None else OracleRecord(kind=kind)
 
 

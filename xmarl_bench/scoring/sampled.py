@@ -49,7 +49,7 @@ class Sample:
     """Random masks and the best masks found by a search, under one absence model."""
 
     stretches: Sequence[Stretch]
-    drawn: NDArray[np.int64]  # (DRAWS, S, N, N): places of the senders in the random orders
+    drawn: NDArray[np.int64]  # (ORDERS, S, N, N): places of the senders in the random orders
     random: Floats | None = None  # (K,); None without a search
     random_error: Floats | None = None
     oracle: Floats | None = None
@@ -109,7 +109,7 @@ def _fid_delta(stretch: Stretch, places: NDArray[np.int64]) -> Floats:
 class Sampled:
     """Scores masks if rows are too many to try, or not independent. Without a search: FidDelta@k only."""
 
-    orders: Floats  # (DRAWS, S, N, N), 1 order without a search
+    orders: Floats  # (ORDERS, S, N, N), 1 order without a search
     all_edges: Sample
     messages: dict[Absence, Sample]
 

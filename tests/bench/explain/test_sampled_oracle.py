@@ -13,10 +13,18 @@ from torch_geometric.nn import GATv2Conv
 
 from tests.helpers.policies import ROUNDING, random_masks, random_observations, small_policy
 from xmarl_bench.explain import oracle as enumeration
-from xmarl_bench.explain.absence import DRAWS as REPLACED
-from xmarl_bench.explain.absence import Removal, message_table, stand_ins
+from xmarl_bench.explain.absence import DRAWS, Removal, message_table, stand_ins
 from xmarl_bench.explain.oracle import change_table, oracle_kind, why_no_oracle
-from xmarl_bench.explain.sampled_oracle import DRAWS, Edges, kept_by, random_orders, ranks, standard_error
+from xmarl_bench.explain.sampled_oracle import (
+    ORDERS,
+    Best,
+    Edges,
+    ascend,
+    kept_by,
+    random_orders,
+    ranks,
+    standard_error,
+)
 from xmarl_bench.metrics import fid_delta_table, oracle_at_k, others_table, random_at_k
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import ModulePolicy, Policy, RadiusGraph
@@ -150,7 +158,7 @@ def one_layer_sample(n_agents: int, absence: Absence, n_steps: int = 6) -> tuple
     reference = random_observations(11, n_agents, 5, 2)
     with torch.no_grad():
         messages = policy.prepare(reference).message
-        replaced = tuple(stand_ins(absence, messages, (REPLACED, n_steps), np.random.default_rng(0)))
+        replaced = tuple(stand_ins(absence, messages, (DRAWS, n_steps), np.random.default_rng(0)))
         removal = Removal.of(policy, observations, absence, replaced)
         edges = Edges.of(np.ones((n_steps, n_agents, n_agents), dtype=bool), own_kept=True)
         orders = random_orders(n_steps, n_agents, np.random.default_rng(1))
@@ -208,7 +216,7 @@ def test_the_error_by_hand() -> None:
 
 def test_orders_come_with_their_reverse_and_decide_between_equals_only() -> None:
     orders = random_orders(2, 4, np.random.default_rng(0))
-    assert orders.shape == (DRAWS, 2, 4, 4)
+    assert orders.shape == (ORDERS, 2, 4, 4)
     np.testing.assert_array_equal(orders[1], 1.0 - orders[0])
     senders = np.ones((2, 4, 4), dtype=bool)
     nothing = ranks(np.zeros((2, 4, 4)), orders, senders)
@@ -278,6 +286,26 @@ def test_the_best_mask_beats_all_ones_and_what_was_drawn() -> None:
     for places in found.all_edges.drawn:
         for kept in kept_by(places, found.all_edges.stretches[0].edges):
             assert (worth(found.best) >= worth(torch.from_numpy(kept).float()) - 1e-6).all()
+
+
+def test_sweeps_climb_from_any_mask_to_one_that_no_swap_of_a_row_improves() -> None:
+    policy, observations = two_layers(3), random_observations(5, 4, 6, 2)
+    edges = Edges.of(np.ones((5, 4, 4), dtype=bool), own_kept=True)
+    removal = Removal.of(policy, observations, Absence.ZERO, (None,))
+    best = Best.none(edges, row_wise=False)
+    orders = random_orders(5, 4, np.random.default_rng(0))
+    kept = kept_by(ranks(np.zeros((5, 4, 4)), orders, edges.senders)[0], edges)
+    best.take(kept, edges.fid_delta(removal, kept))
+    before = best.value.copy()
+    for _ in range(3):  # far more sweeps than the search takes
+        ascend(removal, edges, best)
+    assert (best.value >= before).all()
+    assert (best.value > before + 0.01).any()
+    np.testing.assert_array_equal(best.kept.sum(axis=-1)[:, 0, 0], [1, 2])
+    np.testing.assert_allclose(best.value, best.per_unit(edges.fid_delta(removal, best.kept)), atol=ROUNDING)
+    again = best.value.copy()
+    ascend(removal, edges, best)
+    np.testing.assert_array_equal(best.value, again)
 
 
 def test_stretches_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from xmarl_bench import PolicyModule
 from xmarl_bench.board import board_of
 from xmarl_bench.entry.protocol import SAMPLED
 from xmarl_bench.entry.schema import Entry
-from xmarl_bench.explain.sampled_oracle import DRAWS
+from xmarl_bench.explain.sampled_oracle import ORDERS
 from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
@@ -55,7 +55,7 @@ def test_above_ten_agents_the_oracle_is_sampled(make_bundle: MakeBundle) -> None
     (cell,) = entry.results
     assert list(entry_findings(entry)) == []
     assert cell.oracle is not None
-    assert (cell.oracle.kind, cell.oracle.orders, cell.oracle.definition) == ("sampled", DRAWS, SAMPLED)
+    assert (cell.oracle.kind, cell.oracle.orders, cell.oracle.definition) == ("sampled", ORDERS, SAMPLED)
     assert cell.oracle.error is not None
     assert 0.0 < cell.oracle.error < 0.5
     assert {"oracle", "soft-oracle"} < set(cell.controls)

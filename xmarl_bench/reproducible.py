@@ -72,6 +72,28 @@ def one_thread() -> Iterator[None]:
 
 
 @contextmanager
+def torch_defaults() -> Iterator[None]:
+    """Run with torch's own settings, whatever the caller has set, and restore the caller's afterwards.
+
+    These are the default dtype and device, gradients, inference mode and autocast.
+    """
+    import torch
+
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        with (
+            torch.inference_mode(False),
+            torch.enable_grad(),
+            torch.autocast("cpu", enabled=False),
+            torch.device("cpu"),
+        ):
+            yield
+    finally:
+        torch.set_default_dtype(before)
+
+
+@contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """Seed the global random states of torch, numpy and Python for the block, and restore them afterwards."""
     import torch

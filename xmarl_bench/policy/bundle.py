@@ -29,6 +29,7 @@ from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS, check_weights
 from xmarl_bench.records.field_types import Agents, Name, Sha256
 from xmarl_bench.records.files import write_atomically
 from xmarl_bench.records.strict_json import first_error, parse_json, shown
+from xmarl_bench.reproducible import torch_defaults
 
 if TYPE_CHECKING:
     from torch import nn
@@ -109,6 +110,7 @@ def load_policy(
     return build(card, weights), card
 
 
+@torch_defaults()
 def build(card: PolicyCard, weights: Weights) -> GraphPolicy | LayeredPolicy:
     """The network of a card with weights that `parse_weights` returned, in evaluation mode.
 

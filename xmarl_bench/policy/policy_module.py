@@ -22,7 +22,9 @@ from xmarl_bench.policy.bundle import PolicyCard
 from xmarl_bench.policy.graph import CompleteGraph, Graph
 from xmarl_bench.policy.interventions import check_interventions, random_teams
 from xmarl_bench.policy.module import ModulePolicy
+from xmarl_bench.policy.tensors import check_tensors
 from xmarl_bench.records.strict_json import first_error
+from xmarl_bench.reproducible import torch_defaults
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class PolicyModule:
     attention_entropy: float = 0.0
     training_seed: int | None = None
 
+    @torch_defaults()
     def open(self, origin: Origin) -> tuple[ModulePolicy, PolicyCard]:
         """The policy with its card, as `load_policy` returns them for a bundle.
 
@@ -59,6 +62,7 @@ class PolicyModule:
             raise InputError(
                 f"policy {self.name!r} has the unknown task {self.task!r}: give one of {', '.join(TASKS)}."
             )
+        check_tensors(self.network, self.name)
         obs_dim = len(TASKS[self.task].observation_names)
         action_dim = action_width(self.distribution != "categorical")
         try:

@@ -16,7 +16,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.table import Group, Need, metrics_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.teams_apart import step_teams
-from xmarl_bench.reproducible import one_thread
+from xmarl_bench.reproducible import one_thread, torch_defaults
 
 Floats = NDArray[np.float32]
 
@@ -60,6 +60,7 @@ class Act(Protocol):
         """
 
 
+@torch_defaults()
 def roll_out(
     task: Task,
     policy: Policy,

@@ -18,7 +18,7 @@ from xmarl_bench.metrics.table import GAINS
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.policy import Policy
-from xmarl_bench.reproducible import one_thread
+from xmarl_bench.reproducible import one_thread, torch_defaults
 from xmarl_bench.rollout.cell import BLOCK, Cell, Sampling
 from xmarl_bench.rollout.episodes import Episode, Rollout, check_parallel, mean_metrics
 
@@ -57,6 +57,7 @@ def evaluate_policy(
     return evaluate([(policy, Cell(task, n_agents))], Sampling(episodes=episodes, seed=seed))[0].record()
 
 
+@torch_defaults()
 def evaluate(
     policies: Sequence[tuple[Policy, Cell]],
     sampling: Sampling,

@@ -10,13 +10,14 @@ from xmarl_bench.entry.protocol import ABSENCE_EPISODES
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import GraphPolicy, Policy, PolicyCard
+from xmarl_bench.policy.tensors import check_tensors
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.scoring.behaviour import why_no_behaviour
 
 
 @dataclass(frozen=True)
 class Request:
-    """One entry to make. Raises InputError if the policy does not fit a cell."""
+    """One entry to make. Raises InputError if the policy does not fit a cell, or is not float32."""
 
     policy: Policy
     card: PolicyCard
@@ -28,6 +29,7 @@ class Request:
     behaviour_episodes: int | None = None
 
     def __post_init__(self) -> None:
+        check_tensors(self.policy, self.card.name)
         for cell in self.cells:
             check_fit(self.card, cell)
         if self.behaviour_episodes is not None and self.behaviour_episodes < 0:

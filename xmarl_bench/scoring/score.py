@@ -25,6 +25,7 @@ from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.plugins.registry import checked_name, find_explainer, open_policy
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy.policy_module import PolicyModule
+from xmarl_bench.reproducible import torch_defaults
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import check_parallel
 from xmarl_bench.scoring.cache import Cache
@@ -48,6 +49,7 @@ class Failed:
         return f"{self.request.explainer.name} on {self.request.card.name}: {self.error}"
 
 
+@torch_defaults()
 def score(
     policy: str | Path | PolicyModule | tuple[Policy, PolicyCard],
     explainer: object,
@@ -82,7 +84,8 @@ def score(
         trust_code: run the code of the policy, if it has its own.
         cache: folder of the cache, see `Cache`; by default nothing is kept.
 
-    Raises InputError if an argument is invalid or the explainer fails.
+    The caller's settings of torch (default dtype and device, autocast, inference mode) have no effect. Raises
+    InputError if an argument is invalid or the explainer fails.
     """
     if isinstance(policy, str | Path):
         network, card = open_policy(str(policy), trust_code=trust_code)

@@ -1,0 +1,24 @@
+"""Which tensors a policy must consist of to be scored."""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import torch
+from torch import nn
+
+from xmarl_bench.errors import InputError
+
+
+def check_tensors(network: nn.Module, name: str) -> None:
+    """Raise InputError if weights are not float32 on the CPU, or cannot take part in gradients."""
+    for key, tensor in chain(network.named_parameters(), network.named_buffers()):
+        if tensor.device.type != "cpu":
+            problem, remedy = f"is on {tensor.device}", 'move the network with .to("cpu")'
+        elif tensor.is_floating_point() and tensor.dtype != torch.float32:
+            problem, remedy = f"is {str(tensor.dtype).removeprefix('torch.')}", "convert it with .float()"
+        elif tensor.is_inference():
+            problem, remedy = "was made in torch.inference_mode", "make the network outside of it"
+        else:
+            continue
+        raise InputError(f"tensor {key!r} of policy {name!r} {problem}: {remedy}.")

@@ -177,7 +177,7 @@ def main() -> None:
         for k, (policy, card) in enumerate(policies)
         for each in degenerate_scores(policy, card, partner(policies, k))
     ]
-    board = scores_of_board(json.loads((HERE.parent / "leaderboard" / "leaderboard.json").read_text()))
+    board = scores_of_board(json.loads((HERE.parent / "leaderboard" / "leaderboard.json").read_bytes()))
     planted = scores_of_planted(score_planted(select_explainers(["all"]), n_steps=50))
     with one_thread():
         who_matters = {
@@ -196,7 +196,9 @@ def main() -> None:
     page = HERE / "metrics.md"
     text = replaced(page.read_text(encoding="utf-8"), "followed", table_of_curves(suites))
     text = replaced(text, "absences", table_of_absences(who_matters))
-    page.write_text(replaced(text, "degenerate", table_of_degenerate(degenerate)), encoding="utf-8")
+    page.write_text(
+        replaced(text, "degenerate", table_of_degenerate(degenerate)), encoding="utf-8", newline="\n"
+    )
 
 
 if __name__ == "__main__":

@@ -156,7 +156,7 @@ def main() -> None:
     page = HERE / "metrics.md"
     text = page.read_text(encoding="utf-8")
     before, after = text.split(BEGIN)[0], text.split(END)[1]
-    page.write_text(before + BEGIN + table(measured) + END + after, encoding="utf-8")
+    page.write_text(before + BEGIN + table(measured) + END + after, encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

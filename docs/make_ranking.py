@@ -77,4 +77,4 @@ def built() -> dict[str, Any]:
 
 if __name__ == "__main__":
     readme = ROOT / "README.md"
-    readme.write_text(page(readme.read_text(encoding="utf-8"), built()), encoding="utf-8")
+    readme.write_text(page(readme.read_text(encoding="utf-8"), built()), encoding="utf-8", newline="\n")

@@ -108,7 +108,7 @@ def measured() -> list[Entry]:
 
 def main() -> None:
     path = HERE / "scaling.md"
-    path.write_text(page(path.read_text(encoding="utf-8"), measured()), encoding="utf-8")
+    path.write_text(page(path.read_text(encoding="utf-8"), measured()), encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

@@ -101,7 +101,7 @@ def policy_rows(cards: list[PolicyCard]) -> list[Row]:
 def control_rows() -> list[Row]:
     rows: list[Row] = []
     for path in sorted(CONTROLS.glob("*.json")):
-        record = json.loads(path.read_text())
+        record = json.loads(path.read_bytes())
         heard = record["performance"]["with_messages"]
         row: Row = {"control": record["name"]}
         row |= {title: shown(name, heard[name]) for title, name in MEASURES.items()}
@@ -114,7 +114,7 @@ def control_rows() -> list[Row]:
 def lambda_rows() -> list[Row]:
     """One row per run of the paper's schedule: its attention and what the team achieves."""
     rows: list[Row] = []
-    records = [json.loads(path.read_text()) for path in RECORDS.glob("*.json")]
+    records = [json.loads(path.read_bytes()) for path in RECORDS.glob("*.json")]
     for record in sorted(records, key=lambda r: (r["task"], -r["lambda"], r["name"])):
         start, end = record["along"][0], record["listening"]
         heard, unheard = (record["performance"][f"with{how}_messages"] for how in ("", "out"))
@@ -161,7 +161,7 @@ def zero_shot_rows() -> list[Row]:
     if not ZERO_SHOT.exists():
         return []
     rows: list[Row] = []
-    for record in json.loads(ZERO_SHOT.read_text()):
+    for record in json.loads(ZERO_SHOT.read_bytes()):
         heard = record["with_messages"]
         titles = ("success", "no agent collision", "makespan")
         measures = {title: shown(MEASURES[title], heard[MEASURES[title]]) for title in titles}

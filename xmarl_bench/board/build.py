@@ -10,12 +10,10 @@ are new; `check` reports this, and the next build completes it.
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,8 +24,10 @@ from xmarl_bench.board.tables import board_of
 from xmarl_bench.entry.file import read_entry
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.records.files import locked
 
 ANIMATIONS = "animations"
+LOCK = ".board.lock"
 STAGED = ".new"  # suffix of files that are written but not yet renamed
 ROW_DEPTH = 6  # depth of a table's rows in the board's JSON
 
@@ -38,7 +38,7 @@ def build_board(folder: Path) -> Path:
     Raises InputError, before writing, if an entry is invalid. Builds of one folder wait for each other.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with _locked(folder):
+    with locked(folder, LOCK, wait=True):
         made = derived(folder)
         _publish(folder, {path: data for path, data in made.files.items() if _bytes(folder / path) != data})
         for path in _obsolete(folder, made):
@@ -187,14 +187,3 @@ def _bytes(path: Path) -> bytes | None:
         return path.read_bytes()
     except FileNotFoundError:
         return None
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Allow one build of the folder at a time, among all processes. A killed process releases the lock."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)

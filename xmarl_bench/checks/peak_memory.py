@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
-RESET_PEAK = "5"  # proc(5): sets the peak to the current resident memory
+RESET_PEAK = b"5"  # proc(5): sets the peak to the current resident memory
 
 
 def peak_memory(call: Callable[[], object]) -> float | None:
@@ -18,7 +18,7 @@ def peak_memory(call: Callable[[], object]) -> float | None:
     """
     gc.collect()
     try:
-        CLEAR.write_text(RESET_PEAK)
+        CLEAR.write_bytes(RESET_PEAK)
         before = _kilobytes("VmRSS")
         call()
         return max(0.0, (_kilobytes("VmHWM") - before) / 1024)
@@ -27,7 +27,7 @@ def peak_memory(call: Callable[[], object]) -> float | None:
 
 
 def _kilobytes(name: str) -> int:
-    found = re.search(rf"^{name}:\s+(\d+) kB", STATUS.read_text(), re.MULTILINE)
+    found = re.search(rf"^{name}:\s+(\d+) kB", STATUS.read_text(encoding="utf-8"), re.MULTILINE)
     if found is None:
         raise OSError(f"no {name} in {STATUS}")
     return int(found.group(1))

@@ -21,6 +21,8 @@ from importlib.util import find_spec
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import psutil
+
 from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.calls import kept_in
 from xmarl_bench.parallel.program_end import pools
@@ -120,7 +122,7 @@ def _end_with(parent: int) -> None:
     """End this process when its parent has ended: loky's workers would continue."""
 
     def watch() -> None:
-        while os.getppid() == parent:
+        while os.getppid() == parent and psutil.pid_exists(parent):  # on Windows getppid never changes
             time.sleep(0.5)
         for folder in _folders:
             shutil.rmtree(folder, ignore_errors=True)

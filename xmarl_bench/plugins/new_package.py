@@ -14,7 +14,8 @@ from jinja2 import Environment, StrictUndefined
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.origin.installed import package_version
-from xmarl_bench.plugins.registry import NAME, explainer_names, registered_policies
+from xmarl_bench.plugins.registry import explainer_names, registered_policies
+from xmarl_bench.records.field_types import is_file_name
 from xmarl_bench.records.files import check_writable, write_atomically
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -27,7 +28,7 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
     is not empty.
     """
     package = name.replace("-", "_").replace(".", "_")
-    if not NAME.match(name) or not package.isidentifier() or keyword.iskeyword(package):
+    if not is_file_name(name) or not package.isidentifier() or keyword.iskeyword(package):
         raise InputError(
             f"{name!r} is not a valid package name: start with a letter, then a-z, 0-9, - and _, such as "
             f"my-{kind}."

@@ -9,7 +9,6 @@ that fails to load raises an error with its name.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
@@ -25,9 +24,9 @@ from xmarl_bench.origin.references import Origin, check_named, is_reference, loa
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.policy.untrusted import CARD
+from xmarl_bench.records.field_types import is_file_name
 
 EXPLAINERS, POLICIES = "xmarl_bench.explainers", "xmarl_bench.policies"
-NAME = re.compile(r"^[a-z0-9][a-z0-9._-]{0,99}$")  # safe in file names
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ def find_explainer(name: str) -> Explainer:
 def checked_name(explainer: Explainer) -> Explainer:
     """The explainer. Raises InputError if its name is unsafe in file names or that of a control."""
     name = explainer.name
-    if not NAME.match(name):
+    if not is_file_name(name):
         raise InputError(f"explainer name {name!r} cannot be part of a file name: use a-z, 0-9, . _ and -.")
     if name in CONTROLS and explainer != CONTROLS[name]:
         where = origin_of_explainer(explainer).entry_point

@@ -5,6 +5,7 @@ Unpacks nothing to disk, follows no links and unpickles nothing. Does not need t
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import stat
@@ -21,6 +22,7 @@ from xmarl_bench.records.strict_json import parse_json, shown
 WEIGHTS, CARD = "policy.safetensors", "policy.json"
 MAX_BYTES = {WEIGHTS: 68 * 1024 * 1024, CARD: 1024 * 1024}
 MAX_HEADER = 1024 * 1024
+NO_FOLLOW: int = getattr(os, "O_NOFOLLOW", 0)
 TEXT = (".md", ".txt", "LICENSE")  # further files allowed in a zip
 
 
@@ -34,7 +36,9 @@ def read_member(bundle: Path, name: str) -> bytes:
 def read_file(path: Path, max_bytes: int) -> bytes:
     """Read a regular file of at most `max_bytes`. Raises InputError for links, devices and pipes."""
     try:
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+        if NO_FOLLOW == 0 and path.is_symlink():  # Windows opens the target
+            raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+        handle = os.open(path, os.O_RDONLY | NO_FOLLOW | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:
         why = "it is a symbolic link" if path.is_symlink() else str(error.strerror)
         raise InputError(f"{path} cannot be read ({why}): give the folder of a policy.") from None

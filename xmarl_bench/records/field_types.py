@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 ROUNDING = 1e-6  # how far rounding may put a number outside its range
-Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,99}$")]  # safe in file names
+NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,99}")
+# Windows: https://learn.microsoft.com/windows/win32/fileio/naming-a-file
+RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?|.*\.", re.IGNORECASE)
+
+
+def is_file_name(name: str) -> bool:
+    """Whether a name can be part of file names on every system."""
+    return NAME.fullmatch(name) is not None and RESERVED.fullmatch(name) is None
+
+
+def _not_reserved(name: str) -> str:
+    if RESERVED.fullmatch(name):
+        raise ValueError(f"{name!r} cannot be a file name on Windows")
+    return name
+
+
+Name = Annotated[str, Field(pattern=f"^{NAME.pattern}$"), AfterValidator(_not_reserved)]
 Text = Annotated[str, Field(max_length=10_000)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Agents = Annotated[int, Field(ge=1, le=1024)]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import os
 import re
+import secrets
 import socket
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,28 +23,33 @@ def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
     sync: also survive a power failure; unnecessary if readers check the file. Raises InputError if the disk
     is full or the folder cannot be written to.
     """
-    temporary: str | None = None
+    temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # The name holds machine and process, so that leftovers of a killed process can be recognised.
-        prefix = f".{path.name}.{socket.gethostname()}-{os.getpid()}-"
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=".tmp")
-        with os.fdopen(handle, "wb") as file:
+        temporary = _temporary_beside(path)
+        with temporary.open("xb") as file:  # with the permissions of the umask
             file.write(data)
             if sync:
                 file.flush()
                 os.fsync(file.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
+        temporary.replace(path)
     except BaseException as error:
         if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise InputError(
                 f"{path} cannot be written ({error.strerror}): free disk space or give another folder. Files "
                 f"written before are intact."
             ) from error
         raise
+
+
+def _temporary_beside(path: Path) -> Path:
+    """A new name that holds machine and process, so that `remove_leftovers` recognises it."""
+    # Cut: a file name has at most 255 bytes.
+    return path.with_name(
+        f".{path.name[:100]}.{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(8)}.tmp"
+    )
 
 
 def remove_leftovers(folder: Path) -> None:
@@ -58,40 +63,40 @@ def remove_leftovers(folder: Path) -> None:
 
 def is_running(pid: int) -> bool:
     """Whether a process with this id runs on this machine."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # it belongs to another user
-        return True
-    return True
+    import psutil  # imported lazily: reading files does not need it
+
+    return bool(psutil.pid_exists(pid))
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder. A missing folder is created, and removed again if it stays empty.
+def locked(folder: Path, name: str = LOCK, *, wait: bool = False) -> Iterator[None]:
+    """Hold the lock `name` of a folder. A missing folder is created, and removed again if it stays empty.
 
     The operating system releases the lock when the process ends, however it ends. Raises InputError if
-    another run holds it.
+    another run holds it, unless wait=True.
     """
     from filelock import FileLock, Timeout  # imported lazily: reading files needs no lock
 
     check_writable(folder)
     made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / LOCK
+    path = folder / name
     try:
-        with FileLock(path, blocking=False):
+        with FileLock(path, timeout=-1 if wait else 0):
             try:
                 yield
             finally:
-                path.unlink(missing_ok=True)  # while the lock is held, so that no other run holds this file
-                if made and not any(folder.iterdir()):
-                    folder.rmdir()
+                # While the lock is held: who locks a deleted file tries again. Windows deletes no open file.
+                with suppress(PermissionError):
+                    path.unlink(missing_ok=True)
     except Timeout:
         raise InputError(
             f"another run is writing to {folder}: wait until it is done, or give another folder."
         ) from None
+    finally:
+        if made:
+            with suppress(OSError):  # it holds files
+                folder.rmdir()
 
 
 def check_writable(folder: Path) -> None:

@@ -78,7 +78,7 @@ class Cache:
 
     def failure(self, key: str) -> str | None:
         try:
-            return self.failure_path(key).read_text()
+            return self.failure_path(key).read_text(encoding="utf-8")
         except OSError:
             return None
 

@@ -18,6 +18,7 @@ from typing import Final
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS
+from xmarl_bench.records.field_types import RESERVED
 from xmarl_bench.records.strict_json import MAX_BYTES as MAX_JSON
 from xmarl_bench.records.strict_json import shown
 
@@ -40,6 +41,8 @@ _END, _END_SIZE = b"PK\x05\x06", 22
 
 def kind_of(name: str) -> str | None:
     """The kind of a file, of KINDS, by its name; None if bundles hold no such file."""
+    if any(RESERVED.fullmatch(part) for part in name.split("/")):
+        return None
     return next((kind for kind, (pattern, _) in KINDS.items() if pattern.fullmatch(name)), None)
 
 

@@ -6,6 +6,7 @@
 | unshare | none | the user's, also writable | limited | ended with its session |
 | rlimits | open | the user's, also writable | limited | ended with its session |
 
+Windows has none of them, so third-party code does not run there.
 None of these stops a program from reading files that everyone can read, from exploiting the kernel or,
 without bubblewrap, from escaping its session. Read third-party code before you run it.
 """
@@ -25,6 +26,7 @@ from typing import Literal
 from xmarl_bench.errors import InputError
 
 Wall = Literal["bubblewrap", "unshare", "rlimits"]
+UNIX = os.name == "posix"
 HIDDEN = ("/tmp", "/var/tmp", "/home", "/root", "/run", "/media", "/mnt", "/srv")
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import io
+import secrets
 import shutil
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -77,11 +77,11 @@ def write_bundle(path: Path, files: Mapping[str, bytes]) -> None:
         write_atomically(path, _zipped(files))
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+    folder = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
+        folder.mkdir()
         for name, data in files.items():
             write_atomically(folder / name, data)
-        folder.chmod(0o755)
         folder.rename(path)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)

@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import pickle
+import platform
 import select
 import signal
 import struct
@@ -31,7 +32,7 @@ from xmarl_bench.explain.simulated import SIMULATOR, Simulated
 from xmarl_bench.policy import Policy
 from xmarl_bench.records.strict_json import shown
 from xmarl_bench.rollout.simulator import Simulator
-from xmarl_bench.submission.limits import Limits, Wall, environment, python_folders, strongest, walled
+from xmarl_bench.submission.limits import UNIX, Limits, Wall, environment, python_folders, strongest, walled
 
 MAX_HEADER, MAX_MASKS = 64 * 1024, 1 << 30
 WORKER = "xmarl_bench.submission.sandbox_worker"
@@ -53,8 +54,13 @@ class Sandbox:
     def start(self) -> dict[str, Any]:
         """Start the process; returns the explainer's declarations, the fields of `ExplainerRecord`.
 
-        Raises InputError if the explainer cannot be loaded.
+        Raises InputError if the explainer cannot be loaded, and on systems without process limits.
         """
+        if not UNIX:
+            raise InputError(
+                f"third-party explainers run isolated, which {platform.system()} does not offer: run this on "
+                f"Linux, or use --tier recompute, which runs none of their code."
+            )
         command = [sys.executable, "-m", WORKER, self.explainer, json.dumps(vars(self.limits))]
         readable = python_folders()
         file = Path(self.explainer.rpartition(":")[0])

@@ -166,7 +166,7 @@ def train_missing(out: Path, workers: Workers) -> int:
 def _check_start(folder: Path, task: str, agents: int, family: Family) -> None:
     """Raises InputError if `folder` is not a run of the same task, team size and family."""
     try:
-        settings = json.loads((folder / "settings.json").read_text())
+        settings = json.loads((folder / "settings.json").read_bytes())
         recipe = settings["recipe"]
         trained = (recipe["task"], settings["n_agents"], recipe["family"])
     except (OSError, ValueError, KeyError, TypeError):

@@ -107,7 +107,7 @@ class ModelSelection(BaseCallback):
     def curve(self) -> list[Record]:
         """The records so far, in order of frames."""
         path = self._folder / "curve.json"
-        records: list[Record] = json.loads(path.read_text()) if path.exists() else []
+        records: list[Record] = json.loads(path.read_bytes()) if path.exists() else []
         return records
 
     def best(self) -> tuple[GraphPolicy, Record]:

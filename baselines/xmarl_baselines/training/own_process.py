@@ -11,7 +11,7 @@ def train_in_own_process(unit: tuple[str, Path]) -> int:
     """Run `xmarl-train --reproduce NAME --out OUT --resume`; returns its exit code."""
     name, out = unit
     program = [sys.executable, "-m", "xmarl_baselines.training.command"]
-    with (out / f"{name}.log").open("a") as log:
+    with (out / f"{name}.log").open("ab") as log:
         return subprocess.run(
             [*program, "--reproduce", name, "--out", str(out), "--resume"],
             stdout=log,

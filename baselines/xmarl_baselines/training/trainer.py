@@ -180,13 +180,13 @@ def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
     if not settings.exists():
         write_json(settings, run.settings())
         return None
-    if json.loads(settings.read_text()) != run.settings():
+    if json.loads(settings.read_bytes()) != run.settings():
         raise InputError(f"{folder} holds a run with other settings: choose another --out, or remove it.")
     if not resume:
         raise InputError(f"{folder} holds this run already: add --resume to go on with it, or remove it.")
     if not progress.exists():
         return None
-    done = json.loads(progress.read_text())
+    done = json.loads(progress.read_bytes())
     return int(done["frames"]), float(done["seconds"])
 
 

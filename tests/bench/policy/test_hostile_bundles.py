@@ -22,7 +22,7 @@ from tests.bench.policy.test_layers import CARD as FIELDS
 from tests.bench.policy.test_layers import GAT2, random_policy, record
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy import load_policy, save_policy
+from xmarl_bench.policy import load_policy, save_policy, untrusted
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 
 RAN: list[str] = []  # traces of payloads that ran
@@ -194,6 +194,17 @@ def test_links_devices_and_pipes_are_not_followed(make_bundle: MakeBundle, tmp_p
             else:
                 (folder / name).mkdir()
             assert str(folder / name) in refused(folder)
+
+
+def test_links_are_refused_where_opening_follows_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Windows, which has no O_NOFOLLOW."""
+    (tmp_path / "secret").write_bytes(b"{}")
+    (tmp_path / CARD).symlink_to(tmp_path / "secret")
+    monkeypatch.setattr(untrusted, "NO_FOLLOW", 0)
+    with pytest.raises(InputError, match="it is a symbolic link"):
+        untrusted.read_file(tmp_path / CARD, 10)
 
 
 def zipped(path: Path, members: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> Path:

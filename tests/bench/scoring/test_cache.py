@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -120,6 +121,22 @@ def test_two_runs_cannot_write_into_one_folder(tmp_path: Path) -> None:
         assert f"another run is writing to {tmp_path}" in other()
     assert other() == "free\n"
     assert not list(tmp_path.iterdir())  # no lock file is left
+
+
+def test_a_waiting_lock_waits(tmp_path: Path) -> None:
+    entered = threading.Event()
+
+    def enter() -> None:
+        with locked(tmp_path, wait=True):
+            entered.set()
+
+    other = threading.Thread(target=enter)
+    with locked(tmp_path, wait=True):
+        other.start()
+        assert not entered.wait(0.1)
+    other.join()
+    assert entered.is_set()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_lock_ends_with_the_process_that_held_it(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.rollout.simulator import Simulator
+from xmarl_bench.submission import sandbox
 from xmarl_bench.submission.limits import Limits, Wall, strongest
 from xmarl_bench.submission.sandbox import Sandbox
 
@@ -172,3 +173,12 @@ def test_limits_hold_and_cannot_be_raised(act: str, said: str, tmp_path: Path) -
 def test_limits_must_be_above_zero() -> None:
     with pytest.raises(InputError, match="cpu_seconds must be more than 0, got 0"):
         Limits(cpu_seconds=0)
+
+
+def test_systems_without_process_limits_are_refused_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sandbox, "UNIX", False)
+    with (
+        pytest.raises(InputError, match=r"isolated, which \w+ does not offer: run this on Linux"),
+        Sandbox("attention") as started,
+    ):
+        started.start()

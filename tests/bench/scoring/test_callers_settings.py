@@ -48,9 +48,10 @@ def settings() -> tuple[object, ...]:
 
 def entry_bytes(make_bundle: MakeBundle, inside: Settings) -> bytes:
     """Of a policy that is loaded and scored with these settings."""
+    folder = make_bundle()
     with inside():
         before = settings()
-        entry = score(load_policy(make_bundle()), "gradient", episodes=1, timesteps=2, max_cycles=4)
+        entry = score(load_policy(folder), "gradient", episodes=1, timesteps=2, max_cycles=4)
         assert settings() == before
     return bytes_of(entry)
 

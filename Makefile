@@ -2,7 +2,6 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
-BENCH_STAMP := .venv/.bench-installed
 # Two processes that share a machine's cores do best with one thread each.
 export OMP_NUM_THREADS ?= 1
 # For whoever edits a function: no training, browser, cluster or fresh process.
@@ -38,10 +37,6 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
-$(BENCH_STAMP): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench]'
-	touch $@
-
 score: $(STAMP)  ## Score three explainers on each cell's best policy; ALL=1: all on all
 	$(BIN)/xmarl-bench score --jobs 2 --out $(OUT) $(SCORE_OPTIONS)
 
@@ -70,7 +65,7 @@ board: $(STAMP)  ## Bring leaderboard/ and the documents made of it up to date: 
 	$(MAKE) larger OUT=leaderboard
 	for each in ranking scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
 
-bench: $(BENCH_STAMP)  ## Measure tasks, explainers and trainer beside those of others
+bench: $(STAMP)  ## Measure tasks, explainers and trainer beside those of others
 	$(BIN)/python -m pytest --benchmark-only tests/benchmarks
 
 wheel-test: $(STAMP)  ## Build the wheel and try it outside the repository

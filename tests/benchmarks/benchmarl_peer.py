@@ -12,60 +12,27 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
-from torch_geometric.nn import GATv2Conv
-from torchrl import collectors
+from benchmarl.experiment import Callback, Experiment, ExperimentConfig
+from benchmarl.models import MlpConfig
+from torch import Tensor
 
-# TorchRL has renamed some names that BenchMARL 1.5.1 imports; 1.5.2 needs another TorchRL.
-collectors.SyncDataCollector = collectors.Collector
+from tests.helpers import benchmarl_training
+from tests.helpers.benchmarl_training import gnn, mlp, sequence, settings
 
-from benchmarl.algorithms import MappoConfig, mappo  # noqa: E402
-from benchmarl.environments import VmasTask  # noqa: E402
-from benchmarl.experiment import Callback, Experiment, ExperimentConfig  # noqa: E402
-from benchmarl.models import GnnConfig, MlpConfig, SequenceModelConfig  # noqa: E402
-
+__all__ = ["experiment", "mlp", "settings", "train_until"]
 WIDTH, DECODER, GOAL_RADIUS = 32, [256, 256], 0.1  # layer, MLP after it, m in VMAS
 EPISODES, EVERY = 100, 60_000  # per evaluation; frames between evaluations
-
-
-def settings(folder: Path, **changes: object) -> ExperimentConfig:
-    """BenchMARL's default settings of an experiment, without logs and checkpoints."""
-    config = ExperimentConfig.get_from_yaml()
-    folder.mkdir()
-    quiet = {"loggers": [], "create_json": False, "render": False, "save_folder": str(folder)}
-    for name, value in (quiet | changes).items():
-        setattr(config, name, value)
-    return config
 
 
 def experiment(
     config: ExperimentConfig, critic: MlpConfig, callback: Callback | None = None, **task: object
 ) -> Experiment:
-    """MAPPO on VMAS navigation with three agents, ready to run.
+    """MAPPO with the actor of the reference policies, ready to run.
 
     task: settings of the scenario that differ from BenchMARL's.
     """
-    loss = mappo.ClipPPOLoss
-    if isinstance(loss, type):  # TorchRL has renamed its coefficients, too
-        mappo.ClipPPOLoss = lambda **given: loss(
-            **{f"{name}f" if name.endswith("_coef") else name: value for name, value in given.items()}
-        )
-    navigation = VmasTask.NAVIGATION.get_from_yaml()
-    navigation.config |= {"n_agents": 3, **task}
-    gnn = GnnConfig(topology="full", self_loops=True, gnn_class=GATv2Conv, gnn_kwargs={})
-    return Experiment(
-        task=navigation,
-        algorithm_config=MappoConfig.get_from_yaml(),
-        model_config=SequenceModelConfig(model_configs=[gnn, mlp(DECODER)], intermediate_sizes=[WIDTH]),
-        critic_model_config=critic,
-        seed=0,
-        config=config,
-        callbacks=[] if callback is None else [callback],
-    )
-
-
-def mlp(widths: list[int]) -> MlpConfig:
-    return MlpConfig(num_cells=widths, activation_class=nn.Tanh, layer_class=nn.Linear)
+    actor = sequence([gnn(self_loops=True), mlp(DECODER)], WIDTH)
+    return benchmarl_training.experiment(config, actor, critic, callback=callback, **task)
 
 
 def rates(rollouts: list[Any]) -> tuple[float, float]:

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from xmarl_baselines.training.recipes import recipe_for
+from xmarl_baselines.training.trainer import Run, build
 
+from tests.bench.policy.test_benchmarl import checkpoint
+from tests.bench.policy.test_layers import GAT2, random_policy, record
 from tests.bench.policy.test_memory import torchrl_key_map
+from tests.conftest import RunCli
 from tests.helpers.policies import random_observations
 from xmarl_bench import CompleteGraph, PolicyModule, load_policy, score
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.plugins.registry import open_policy
 from xmarl_bench.policy.architecture import MAX_LAYER_WIDTH, Memory
-from xmarl_bench.policy.convert import rename
+from xmarl_bench.policy.build import weights_of
 from xmarl_bench.policy.shapes import MAX_PARAMETERS
 from xmarl_bench.submission.consistency import entry_findings
 
@@ -83,10 +90,38 @@ def test_the_memory_of_the_page_is_a_record() -> None:
     assert Memory.model_validate_json(text).after == 0
 
 
-def test_the_key_maps_of_the_page_are_valid() -> None:
-    benchmarl, torchrl = (json.loads(text) for text in blocks("json"))
-    assert rename({}, benchmarl) == {}
-    assert torchrl == torchrl_key_map("gru")
+def test_the_key_map_of_the_page_is_valid() -> None:
+    assert [json.loads(text) for text in blocks("json")] == [torchrl_key_map("gru")]
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_page_convert(
+    tmp_path: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each reads a file of the kind that the page tells."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("runs/mine", "checkpoints"):
+        (tmp_path / folder).mkdir(parents=True)
+    policy = random_policy(record(GAT2))
+    torch.save({"model": weights_of(policy)}, "model.pt")
+    torch.save({"net": weights_of(policy)}, "actor.pt")
+    Path("architecture.json").write_text(policy.architecture.model_dump_json())
+    Path("keys.json").write_text('{"net.": ""}')
+    torch.save(checkpoint(), "checkpoints/checkpoint_60.pt")
+    recipe = recipe_for("blind_discovery_v0", frames=64, n_envs=2, n_steps=4, batch_size=8)
+    build(Run(recipe), seed=0).save("runs/mine/checkpoint.zip")
+    commands = [
+        shlex.split(line, comments=True)[1:]
+        for block in blocks("sh")
+        for line in block.replace("\\\n", " ").splitlines()
+    ]
+    assert [command[0] for command in commands] == ["convert"] * 4
+    for command in commands:
+        shutil.rmtree("mine", ignore_errors=True)
+        ran = run_cli(*command)
+        assert ran.code == 0, ran.err
+        if "--out" in command:
+            load_policy(Path(command[command.index("--out") + 1]))
 
 
 def test_bounds_are_those_of_the_code() -> None:

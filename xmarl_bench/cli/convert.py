@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
+
+BENCHMARL = "With --from benchmarl: what its checkpoint does not tell"
 
 
 def convert(
     weights: Annotated[
         Path,
-        typer.Argument(help="State dict of torch.save, safetensors, or checkpoint.zip of xmarl-train."),
+        typer.Argument(
+            help="State dict of torch.save, safetensors, checkpoint.zip of xmarl-train, or a checkpoint of "
+            "BenchMARL."
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option(help="Folder of the bundle to write; without it, list the tensors.")
@@ -31,6 +36,40 @@ def convert(
         float, typer.Option(help="Weight lambda of the attention-entropy term in training.")
     ] = 0.0,
     training_seed: Annotated[int | None, typer.Option(help="Seed of its training.")] = None,
+    source: Annotated[
+        Literal["benchmarl"] | None,
+        typer.Option(
+            "--from", help="Read the actor of this library's checkpoint; no architecture is needed."
+        ),
+    ] = None,
+    activation: Annotated[
+        str | None,
+        typer.Option(help="Activation function of its MLPs, e.g. tanh.", rich_help_panel=BENCHMARL),
+    ] = None,
+    loops: Annotated[
+        bool | None,
+        typer.Option(
+            "--loops/--no-loops",
+            help="Whether agents hear themselves: by self_loops, or by add_self_loops in gnn_kwargs, which "
+            "is True by default.",
+            rich_help_panel=BENCHMARL,
+        ),
+    ] = None,
+    scale_mapping: Annotated[
+        str | None,
+        typer.Option(help="Its scale_mapping; biased_softplus_1.0 by default.", rich_help_panel=BENCHMARL),
+    ] = None,
+    tanh_normal: Annotated[
+        bool | None,
+        typer.Option(
+            "--use-tanh-normal/--no-use-tanh-normal",
+            help="Its use_tanh_normal; True by default.",
+            rich_help_panel=BENCHMARL,
+        ),
+    ] = None,
+    group: Annotated[
+        str | None, typer.Option(help="Group of agents, if it has several.", rich_help_panel=BENCHMARL)
+    ] = None,
 ) -> None:
     """Convert weights saved by other tools to a policy bundle. Executes nothing in the file."""
     from pydantic import ValidationError
@@ -39,6 +78,7 @@ def convert(
     from xmarl_bench.errors import InputError
     from xmarl_bench.policy import build_policy
     from xmarl_bench.policy import convert as reading
+    from xmarl_bench.policy.benchmarl import Settings, read_actor
     from xmarl_bench.policy.bundle import packed, write_bundle
     from xmarl_bench.policy.shapes import weight_shapes
     from xmarl_bench.rollout.cell import Cell, check_task
@@ -46,6 +86,15 @@ def convert(
 
     if out is not None and out.exists():
         raise InputError(f"{out} already exists: choose another folder with --out, or remove it.")
+    settings = Settings(activation, loops, scale_mapping, tanh_normal, group)
+    if source is None and settings != Settings():
+        raise InputError(
+            "--activation, --loops, --scale-mapping, --use-tanh-normal and --group need --from benchmarl."
+        )
+    if source is not None and not (architecture is None and key_map is None):
+        raise InputError(
+            "--from reads names and architecture itself: leave out --architecture and --key-map."
+        )
     tensors = reading.read_tensors(weights)
     record = None if architecture is None else reading.read_architecture(architecture)
     if out is None:
@@ -57,18 +106,11 @@ def convert(
     if task is None:
         raise InputError("a bundle needs the task that its policy was trained for: give --task.")
     check_task(task)
-    recorded = reading.sb3_architecture(weights, tensors) if record is None else None
-    record = record or recorded
-    if record is None:
-        raise InputError(f"{weights} does not hold an architecture: give --architecture.")
-    shapes = weight_shapes(record)
-    if key_map is not None:
-        renamed = reading.rename(tensors, reading.read_key_map(key_map))
-    elif recorded is not None:
-        renamed = reading.rename(tensors, reading.SB3_KEYS)
+    if source is not None:
+        record, ours = read_actor(tensors, settings)
     else:
-        renamed = reading.recognised(tensors, shapes)
-    policy = build_policy(record, reading.dense(renamed, shapes))
+        record, ours = reading.renamed_weights(weights, tensors, record, key_map)
+    policy = build_policy(record, reading.dense(ours, weight_shapes(record)))
     try:
         card, data = packed(
             policy,
@@ -77,12 +119,12 @@ def convert(
             n_agents=agents,
             attention_entropy=attention_entropy,
             training_seed=training_seed,
-            training={"converted_from": weights.name},
+            training={"converted_from": weights.name} | ({} if source is None else {"library": source}),
         )
     except ValidationError as error:
         first = error.errors()[0]
         raise InputError(f"the policy's {first['loc'][0]} is invalid: {first['msg']}.") from None
     check_fit(card, Cell(task, agents))
     write_bundle(out, card, data)
-    left_out = len(tensors) - len(renamed)
-    print(f"{out}: policy {card.name!r} of {len(renamed)} tensors, {left_out} dropped.")
+    left_out = f", {len(tensors) - len(ours)} dropped" if source is None else f" from {source}'s actor"
+    print(f"{out}: policy {card.name!r} of {len(ours)} tensors{left_out}.")

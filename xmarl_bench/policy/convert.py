@@ -7,8 +7,8 @@ dict, and its `data` holds the architecture as plain JSON; its pickles are never
 A key map renames tensors. It maps a prefix of their names to a new prefix, or to null for tensors to drop;
 the longest matching prefix counts. New names are those of `weight_shapes`: `encoder.<k>.*`, `layers.<k>.*`
 (with torch_geometric's names), `memory.*` (torch's) and `decoder.<k>.*`, or `gat.*` for the one layer of an
-`Architecture`. Names that are ours but for one prefix need no map. An actor of TorchRL or BenchMARL is a
-`LayeredArchitecture` whose `scale` is "torchrl".
+`Architecture`. Names that are ours but for one prefix need no map. An actor of TorchRL is a
+`LayeredArchitecture` whose `scale` is "torchrl"; xmarl_bench.policy.benchmarl reads those of BenchMARL.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from torch import Tensor
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import Architecture, BundledArchitecture, LayeredArchitecture
+from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import read_file
 from xmarl_bench.policy.wrapped import plain_name
 from xmarl_bench.records.strict_json import first_error, parse_json, shown
@@ -107,6 +108,25 @@ def read_key_map(path: Path) -> KeyMap:
         raise InputError(f"{path} is not a key map: map prefixes to prefixes, or to null.") from None
     except ValueError as error:
         raise InputError(f"{path} is not a key map: it {error}.") from None
+
+
+def renamed_weights(
+    path: Path, tensors: Mapping[str, Tensor], record: Record | None, key_map: Path | None
+) -> tuple[Record, dict[str, Tensor]]:
+    """(architecture, the file's tensors by the names of `weight_shapes`).
+
+    record: None for that of a checkpoint of `xmarl-train`. key_map: None for a prefix that is recognised.
+    Raises InputError if a file is invalid, or without architecture.
+    """
+    recorded = sb3_architecture(path, tensors) if record is None else None
+    record = record or recorded
+    if record is None:
+        raise InputError(f"{path} does not hold an architecture: give --architecture.")
+    if key_map is not None:
+        return record, rename(tensors, read_key_map(key_map))
+    if recorded is not None:
+        return record, rename(tensors, SB3_KEYS)
+    return record, recognised(tensors, weight_shapes(record))
 
 
 def rename(tensors: Mapping[str, Tensor], key_map: KeyMap) -> dict[str, Tensor]:

@@ -152,9 +152,9 @@ def test_discrete_actions(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.training
 def test_deterministic_actions(tmp_path: Path) -> None:
+    benchmarl = helper()
     from benchmarl.algorithms import MaddpgConfig
 
-    benchmarl = helper()
     actor = benchmarl.sequence([benchmarl.gnn(self_loops=True), benchmarl.mlp([16])], 8)
     theirs = trained(tmp_path / "run", actor, MaddpgConfig.get_from_yaml())
     record, policy = read(theirs.checkpoint, TANH)
@@ -173,8 +173,8 @@ def test_parameters_of_each_agent_are_refused(tmp_path: Path) -> None:
 
 
 def helper() -> Any:
-    """Skips if BenchMARL cannot be imported beside the installed TorchRL."""
-    pytest.importorskip("benchmarl", reason="the installed BenchMARL and TorchRL", exc_type=ImportError)
+    """Skips if BenchMARL is not installed, or does not work with the installed TorchRL."""
+    pytest.importorskip("benchmarl", reason="install the extra `bench` for BenchMARL", exc_type=ImportError)
     from tests.helpers import benchmarl_training
 
     return benchmarl_training

@@ -96,7 +96,9 @@ class TarMac(nn.Module):
 
 
 def code(network: Callable[[], nn.Module], **options: Any) -> Callable[[Path], PolicyModule]:
-    return lambda folder: PolicyModule(network.__name__.lower(), network(), "blind_navigation_v0", N, **options)
+    return lambda folder: PolicyModule(
+        network.__name__.lower(), network(), "blind_navigation_v0", N, **options
+    )
 
 
 FAMILIES: dict[str, Callable[[Path], Path | PolicyModule]] = {

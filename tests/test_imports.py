@@ -23,6 +23,7 @@ ALLOWED = {
 LAYERS = (
     ("errors",),
     ("metrics", "origin", "parallel", "records", "reproducible"),
+    ("tasks",),
     ("policy",),
     ("entry", "rollout"),
     ("compare", "explain", "planted"),

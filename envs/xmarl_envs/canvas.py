@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pygame
+from numpy.typing import NDArray
 
 from xmarl_envs.colours import GRID, INK, PAPER, Colour
 from xmarl_envs.task import Floats
@@ -105,6 +106,15 @@ class Canvas:
         self._surface.fill(PAPER)
         self._surface.blit(inside, square)
         pygame.draw.rect(self._surface, colour, square, OVERSAMPLING)
+
+    def image(self, pixels: NDArray[np.uint8], half_width: float) -> None:
+        """Draw a picture (H, W, 3) around the origin, as far as `half_width` to both of its longer sides."""
+        whole = pygame.surfarray.make_surface(pixels.swapaxes(0, 1))
+        factor = 2 * self._length(half_width) / max(whole.get_size())
+        shown = pygame.transform.smoothscale(
+            whole, [max(1, round(factor * side)) for side in whole.get_size()]
+        )
+        self._surface.blit(shown, shown.get_rect(center=self._at(np.zeros(2))))
 
     def label(self, centre: Floats, text: str, size: float, colour: Colour) -> None:
         image = self._font(size).render(text, True, colour)

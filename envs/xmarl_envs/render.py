@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from xmarl_envs.canvas import Canvas
 from xmarl_envs.colours import FAINT, INK, NEAR, PAPER, WALL, mix
-from xmarl_envs.scene import Scene
-from xmarl_envs.task import Floats, Task
+from xmarl_envs.scene import Drawable, Scene
+from xmarl_envs.task import Floats
 from xmarl_envs.team_painter import TeamPainter
 
+BACKDROP = 0.6  # m, half the width of a picture behind the agents
 FPS = 20  # of a window: twice real time
 ZOOM = 1.25  # the picture widens by this factor until the team fits
 FADING = 60  # cycles after which a trail is at its faintest
@@ -32,7 +33,7 @@ class Renderer:
             leaves it.
     """
 
-    def __init__(self, task: Task, window: bool = False, reach: float = 0.0) -> None:
+    def __init__(self, task: Drawable, window: bool = False, reach: float = 0.0) -> None:
         self._task = task
         self._team = TeamPainter(task)
         self._canvas = Canvas(1.06 * (task.bound or task.spawn_half_width) + task.radius)
@@ -80,6 +81,8 @@ class Renderer:
                 canvas.half_width *= ZOOM
         canvas.clear()
         canvas.grid()
+        if scene.backdrop is not None:
+            canvas.image(scene.backdrop, BACKDROP)
         self._draw_targets(scene.targets)
         for i in range(task.n_agents):
             self._draw_trail(scene.track[:, i], i)

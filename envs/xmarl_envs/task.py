@@ -7,12 +7,15 @@ Lengths are in metres, times in seconds, velocities in m/s. Discs do not rotate,
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import sqrt
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from xmarl_envs.vector_env import VectorEnv
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -75,6 +78,28 @@ class Task(ABC):
     @property
     def obs_dim(self) -> int:
         return len(self.observation_names)
+
+    @property
+    def has_objects(self) -> bool:
+        """Whether there are walls to collide with."""
+        return self.n_walls > 0
+
+    @property
+    def action_width(self) -> int:
+        """How many numbers a policy outputs for an action, see `xmarl_envs.actions.action_width`."""
+        from xmarl_envs.actions import action_width  # which imports this module
+
+        return action_width(self.continuous_actions)
+
+    def with_actions(self, continuous: bool) -> Self:
+        """The same task with continuous or with discrete actions."""
+        return replace(self, continuous_actions=continuous)
+
+    def vector_env(self, n_episodes: int = 1, max_cycles: int | None = None) -> VectorEnv:
+        """Episodes of the task, stepped together, each with physics of its own."""
+        from xmarl_envs.vector_env import VectorEnv  # which imports this module
+
+        return VectorEnv(self, n_episodes, max_cycles)
 
     @property
     def spawn_half_width(self) -> float:

@@ -6,7 +6,8 @@ import numpy as np
 
 from xmarl_envs.canvas import Canvas
 from xmarl_envs.colours import INK, Colour, agent_colours, readable_on
-from xmarl_envs.task import Bools, Floats, Task
+from xmarl_envs.scene import Drawable
+from xmarl_envs.task import Bools, Floats
 
 STAR = (214, 39, 40)
 FAINTEST = 0.05  # smaller mask values are not drawn: 64 agents have 4096
@@ -17,7 +18,7 @@ SMALL = 7.5  # pixels; the number of a smaller agent is drawn beside it
 class TeamPainter:
     """Draws the team of one task on any canvas."""
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Drawable) -> None:
         self._radius = task.radius
         self._n_agents = task.n_agents
         self.colours = agent_colours(task.n_agents)

@@ -20,6 +20,7 @@ from xmarl_bench.policy import load_policy
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.reproducible import episode_seeds
+from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.scoring.behaviour import BLOCK, BehaviourBlock, Played
 
 TASK = "blind_navigation_v0"
@@ -44,7 +45,7 @@ def test_the_other_absence_models_cost_less_than_twice_zero(
             started = time.process_time()
             for explainer in (attention, None):
                 seeds = tuple(episode_seeds(0, episodes))
-                block = BehaviourBlock(policy, explainer, card.task, n_agents, seeds, 0, None, states)
+                block = BehaviourBlock(policy, explainer, Cell(card.task, n_agents), seeds, 0, None, states)
                 assert isinstance(block.run(), Played)
             spent[name] = time.process_time() - started
 

@@ -131,11 +131,12 @@ def some_rollouts() -> list[Rollout]:
     from xmarl_envs import TASKS
 
     from tests.helpers.policies import small_policy
+    from xmarl_bench.rollout.cell import Cell
     from xmarl_bench.rollout.episodes import Rollout
 
     task = "blind_navigation_v0"
     policy = small_policy(len(TASKS[task].observation_names))
-    return [Rollout(policy, task, 3, (k, k + 10), max_cycles=40) for k in range(6)]
+    return [Rollout(policy, Cell(task, 3), (k, k + 10), max_cycles=40) for k in range(6)]
 
 
 def to_the_bit(played: list[list[Episode]]) -> list[tuple[object, ...]]:

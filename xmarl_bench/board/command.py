@@ -15,7 +15,7 @@ def command_of(entry: Entry, out: str = "again") -> str:
     named = explainer.entry_point if explainer.distribution is None else explainer.name  # not installed
     words = ["xmarl-bench", "score", "--policy", entry.policy.name, "--explainer", named]
     for cell in entry.results:
-        words += ["--task", cell.task, "--agents", str(cell.n_agents)]
+        words += ["--task", _task_of(entry, cell.task), "--agents", str(cell.n_agents)]
     words += ["--episodes", str(protocol.episodes), "--seed", str(explainer.seed)]
     if protocol.timesteps is not None:
         words += ["--timesteps", str(protocol.timesteps)]
@@ -28,8 +28,16 @@ def command_of(entry: Entry, out: str = "again") -> str:
         words += ["--no-behaviour", explainer.name]
     else:
         words += ["--behaviour-episodes", str(max(played))]
-    if entry.policy.trusted_code:
+    if entry.policy.trusted_code or protocol.tasks:
         words.append("--trust-code")
     if entry.submitter is not None:
         words += ["--submitter", entry.submitter]
     return shlex.join([*words, "--out", out])
+
+
+def _task_of(entry: Entry, task: str) -> str:
+    """The name of a task; the reference of one that no entry point names."""
+    record = (entry.protocol.tasks or {}).get(task)
+    if record is None or (record.distribution is not None and record.entry_point.rpartition(":")[2] != task):
+        return task
+    return record.entry_point

@@ -15,11 +15,14 @@ MIN_SUCCESS: Final = 0.5
 
 
 def gate_reason(metrics: Metrics) -> str | None:
-    """Why explanations of a policy are not ranked, without a full stop; None if they are ranked."""
-    success = getattr(metrics, SUCCESS).value
-    if success is None or success < MIN_SUCCESS:
-        return f"success rate {_number(success)}, under {MIN_SUCCESS:g}"
-    gains = {name: getattr(metrics, name) for name in GAINS}
+    """Why explanations of a policy are not ranked, without a full stop; None if they are ranked.
+
+    On a task that tells no success, reward alone decides.
+    """
+    success = getattr(metrics, SUCCESS)
+    if success is not None and (success.value is None or success.value < MIN_SUCCESS):
+        return f"success rate {_number(success.value)}, under {MIN_SUCCESS:g}"
+    gains = {name: gain for name in GAINS if (gain := getattr(metrics, name)) is not None}
     if any(gain.interval is not None and gain.interval[0] > 0.0 for gain in gains.values()):
         return None
     shown = ", ".join(f"{by_name()[name].title} {_gain(gain)}" for name, gain in gains.items())

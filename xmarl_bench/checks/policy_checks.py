@@ -5,6 +5,7 @@ Masks can explain such policies only. S is the number of timesteps, N agents, D 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +15,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from xmarl_envs.actions import random_actions
 
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
 from xmarl_bench.errors import InputError
@@ -25,7 +25,8 @@ from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.policy.interventions import check_blind, check_receivers
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.rollout.cell import Cell, spaced_timesteps
-from xmarl_bench.rollout.episodes import Episode, Floats, play, roll_out, with_actions_of
+from xmarl_bench.rollout.episodes import Floats, play, roll_out
+from xmarl_bench.tasks.interface import random_actions
 
 SEED: Final = 1
 ROUNDING: Final = 1e-4  # action units: rounding depends on the order of a sum and the size of a batch
@@ -169,8 +170,8 @@ def listens(subject: PolicySubject) -> str:
 
 
 def success(subject: PolicySubject) -> str:
-    """Against actions drawn at random, in the same episodes."""
-    task = with_actions_of(subject.policy, subject.cell.make())
+    """Against actions drawn at random, in the same episodes; reward where the task tells no success."""
+    task = subject.cell.make().with_actions(subject.policy.continuous_actions)
     seeds = range(FIRST_FIT_SEED, FIRST_FIT_SEED + subject.episodes)
     trained = roll_out(task, subject.policy, seeds)
     rng = subject.rng
@@ -179,16 +180,16 @@ def success(subject: PolicySubject) -> str:
         return random_actions(task, len(observation), rng), observation[..., :0]
 
     chance = play(task, at_random, seeds)
-    ours, theirs = _rates(trained), _rates(chance)
+    told = not math.isnan(trained[0].success_rate)
+    ours, theirs = ([each.success_rate if told else each.reward for each in of] for of in (trained, chance))
     difference = over_units([ours], [theirs])
-    measured = f"success {np.mean(ours):.2f}, random actions {np.mean(theirs):.2f}, {len(ours)} episodes"
+    measured = (
+        f"{'success' if told else 'reward'} {np.mean(ours):.2f}, random actions {np.mean(theirs):.2f}, "
+        f"{len(ours)} episodes"
+    )
     if difference.interval is None or difference.interval[0] <= 0:
         raise Failed(f"{measured}: not more than chance, train it further.")
     return measured
-
-
-def _rates(episodes: Sequence[Episode]) -> list[float]:
-    return [episode.success_rate for episode in episodes]
 
 
 def _close(one: Tensor, other: Tensor, fault: str) -> str:

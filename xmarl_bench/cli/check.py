@@ -31,12 +31,14 @@ def check_explainer(
     from xmarl_bench.checks.explainer_checks import check_explainer as run
     from xmarl_bench.errors import InputError
     from xmarl_bench.plugins.registry import find_explainer, find_policies, open_policy
+    from xmarl_bench.tasks.sources import open_task
 
     explainer = find_explainer(name)
     chosen = policy if policy is not None else next(iter(find_policies()), None)
     if chosen is None:
         raise InputError("no policy is installed: give the folder of a policy bundle with --policy.")
     network, card = open_policy(chosen, trust_code=trust_code)
+    open_task(card.task, trust_code=trust_code)
     findings = run(explainer, network, card.task, card.n_agents, timesteps)
     report(f"explainer {explainer.name} on {card.name}", findings, as_json=as_json)
 
@@ -44,6 +46,9 @@ def check_explainer(
 @check.command("policy")
 def check_policy(
     name: Annotated[str, typer.Argument(help="Policy name, folder or zip of a bundle, or module:factory.")],
+    task: Annotated[
+        str | None, typer.Option(help="Task, or module:factory; the policy's own by default.")
+    ] = None,
     agents: Annotated[int | None, typer.Option(help="Team size; the policy's own by default.")] = None,
     timesteps: Annotated[int, typer.Option(min=2, help="States to try; no score uses them.")] = 20,
     episodes: Annotated[int, typer.Option(min=2, help="Episodes to compare with random actions.")] = 20,
@@ -55,9 +60,12 @@ def check_policy(
     from xmarl_bench.plugins.registry import open_policy
     from xmarl_bench.rollout.cell import Cell
     from xmarl_bench.scoring.request import check_fit
+    from xmarl_bench.tasks.sources import open_task
 
+    given = None if task is None else open_task(task, trust_code=trust_code).name
     network, card = open_policy(name, trust_code=trust_code)
-    cell = Cell(card.task, card.n_agents if agents is None else agents)
+    own = open_task(card.task, trust_code=trust_code).name
+    cell = Cell(given or own, card.n_agents if agents is None else agents)
     check_fit(card, cell)
     findings = run(network, cell, timesteps=timesteps, episodes=episodes)
     report(f"policy {card.name} with {cell.n_agents} agents", findings, as_json=as_json)

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from xmarl_bench.cli.options import TrustCode
+
 BENCHMARL = "With --from benchmarl: what its checkpoint does not tell"
 
 
@@ -22,7 +24,7 @@ def convert(
         Path | None, typer.Option(help="Folder of the bundle to write; without it, list the tensors.")
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the policy; the folder's by default.")] = None,
-    task: Annotated[str | None, typer.Option(help="Task it was trained for.")] = None,
+    task: Annotated[str | None, typer.Option(help="Task it was trained for, or module:factory.")] = None,
     agents: Annotated[int, typer.Option(help="Team size it was trained for.")] = 3,
     architecture: Annotated[
         Path | None,
@@ -70,6 +72,7 @@ def convert(
     group: Annotated[
         str | None, typer.Option(help="Group of agents, if it has several.", rich_help_panel=BENCHMARL)
     ] = None,
+    trust_code: TrustCode = False,
 ) -> None:
     """Convert weights saved by other tools to a policy bundle. Executes nothing in the file."""
     from pydantic import ValidationError
@@ -81,8 +84,9 @@ def convert(
     from xmarl_bench.policy.benchmarl import Settings, read_actor
     from xmarl_bench.policy.bundle import packed, write_bundle
     from xmarl_bench.policy.shapes import weight_shapes
-    from xmarl_bench.rollout.cell import Cell, check_task
+    from xmarl_bench.rollout.cell import Cell
     from xmarl_bench.scoring.request import check_fit
+    from xmarl_bench.tasks.sources import open_task
 
     if out is not None and out.exists():
         raise InputError(f"{out} already exists: choose another folder with --out, or remove it.")
@@ -105,7 +109,7 @@ def convert(
         return
     if task is None:
         raise InputError("a bundle needs the task that its policy was trained for: give --task.")
-    check_task(task)
+    task = open_task(task, trust_code=trust_code).name
     if source is not None:
         record, ours = read_actor(tensors, settings)
     else:

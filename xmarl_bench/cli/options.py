@@ -7,7 +7,10 @@ from typing import Annotated, Literal
 
 import typer
 
-Tasks = Annotated[list[str], typer.Option("--task", help="Task, or 'all'. Repeatable.")]
+Tasks = Annotated[
+    list[str],
+    typer.Option("--task", help="Task, path/to/file.py:factory, module:factory, or 'all'. Repeatable."),
+]
 Agents = Annotated[
     list[str], typer.Option("--agents", help="Team size, or 'all': each policy's own. Repeatable.")
 ]
@@ -54,7 +57,8 @@ TrustCode = Annotated[
     bool,
     typer.Option(
         "--trust-code",
-        help="Run the code of policies that have their own (module:factory, or of an installed package).",
+        help="Run the code of policies and tasks that have their own (module:factory, or of an installed "
+        "package).",
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]

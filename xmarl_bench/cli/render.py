@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isnan
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,9 @@ from xmarl_bench.cli.options import MaxCycles, TrustCode
 
 
 def render(
-    task: Annotated[str | None, typer.Option(help="Task; the policy's own by default.")] = None,
+    task: Annotated[
+        str | None, typer.Option(help="Task, or module:factory; the policy's own by default.")
+    ] = None,
     policy: Annotated[
         str, typer.Option(help="Policy name or folder of a policy bundle, 'heuristic' or 'random'.")
     ] = "heuristic",
@@ -37,8 +40,9 @@ def render(
     recording = record(cell.make(), name, network, seed=seed, episode=episode, max_cycles=max_cycles)
     written = write_animation(recording, out, chosen, progress=True)
     last = recording.track.scene()
+    success = "" if isnan(recording.success_rate) else f"success {recording.success_rate:.2f}, "
     print(
         f"{out}: {written.frames} of {last.cycle + 1} moments of episode {recording.seed}, "
-        f"{written.n_bytes / 1e6:.2f} MB; {last.ended}, success {recording.success_rate:.2f}, "
+        f"{written.n_bytes / 1e6:.2f} MB; {last.ended}, {success}"
         f"return {last.total:.2f}."
     )

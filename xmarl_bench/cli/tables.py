@@ -25,6 +25,7 @@ from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.rollout.evaluation import Performance
 from xmarl_bench.scoring.run_record import Progress, RunRecord
 from xmarl_bench.scoring.score import Failed
+from xmarl_bench.tasks.sources import task_plugins
 
 Row = dict[str, Any]
 Outcome = TypeVar("Outcome")
@@ -37,15 +38,21 @@ NAMES_WIDTH, INTERVAL_WIDTH = 26, 9  # terminal columns, for "integrated_gradien
 
 
 def tasks() -> list[Row]:
-    return [
+    """`code` is the entry point of another package's task. It is not run to be listed: the rest is None."""
+    ours = [
         {
             "name": name,
             "max_agents": task.max_agents,
             "obs_dim": len(task.observation_names),
             "max_cycles": task.default_max_cycles,
+            "code": None,
         }
         for name, task in TASKS.items()
     ]
+    others = [
+        {**dict.fromkeys(ours[0]), "name": name, "code": each.value} for name, each in task_plugins().items()
+    ]
+    return ours + others
 
 
 def policies() -> tuple[list[Row], list[InputError]]:

@@ -52,6 +52,15 @@ def _is_none(value: object) -> bool:
 R = TypeVar("R", bound=Record)
 
 
+def left_out() -> Any:
+    """The default of a field that is None in older entries: left out of the text then, so ids stay."""
+    return Field(default=None, exclude_if=_is_none)
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 class PolicyRecord(Record):
     name: Name
     task: Name
@@ -87,6 +96,18 @@ class ExplainerRecord(Record):
     code_sha256: Sha256 | None = None  # of the file that it was loaded from
 
 
+class TaskRecord(Record):
+    """A task that is not of xmarl_envs: where its code came from."""
+
+    distribution: Text | None  # None: not from an installed package
+    version: Text | None
+    entry_point: Text
+    code_sha256: Sha256 | None  # of the file or the source that makes it; None: of an installed package
+    environment: Text  # the class of its environment
+    environment_distribution: Text | None
+    environment_version: Text | None
+
+
 class Protocol(Record):
     """What was measured, and on which states. Entries share a table only if their protocols are identical."""
 
@@ -95,6 +116,7 @@ class Protocol(Record):
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**53)], ...]
     timesteps: Annotated[int, Field(ge=1)] | None  # at most so many of each episode; None: all
     definitions: Annotated[dict[Text, Text], Field(max_length=100)]
+    tasks: Annotated[dict[Name, TaskRecord], Field(max_length=100)] | None = left_out()  # not of xmarl_envs
 
 
 class Summary(Record):

@@ -15,13 +15,13 @@ from functools import partial
 
 import torch
 from torch import Tensor
-from xmarl_envs import TASKS
 
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.oracle import oracle_mask, soft_oracle_mask
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.policy.build import initial_policy
+from xmarl_bench.tasks.sources import known_task
 
 RANDOM, INVERTED, ORACLE, SOFT_ORACLE = "random", "inverted", "oracle", "soft-oracle"
 NEAREST, INITIAL_ATTENTION = "nearest", "initial-attention"
@@ -110,7 +110,7 @@ def controls_of(task: str, card: PolicyCard) -> tuple[Explainer, ...]:
     Distance needs observations that hold a position, attention a card with the seed of the initial weights.
     """
     made = list(CONTROLS.values())
-    names = TASKS[task].observation_names
+    names = known_task(task).observation_names
     if {"position_x", "position_y"} <= set(names):
         position = names.index("position_x"), names.index("position_y")
         made.append(

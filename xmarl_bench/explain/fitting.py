@@ -16,7 +16,7 @@ from torch import Tensor
 from xmarl_bench.explain.explainer import Explainer, fit_explainer
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import derived_seed, one_thread
-from xmarl_bench.rollout.cell import spaced_timesteps
+from xmarl_bench.rollout.cell import Cell, spaced_timesteps
 from xmarl_bench.rollout.episodes import Rollout
 
 FIT_EPISODES: Final = 10
@@ -27,7 +27,7 @@ FIRST_FIT_SEED: Final = 2**30
 def fit_states(policy: Policy, task: str, n_agents: int, episodes: int = FIT_EPISODES) -> Tensor:
     """(S, N, D) observations to fit an explainer on, of that many episodes."""
     seeds = tuple(range(FIRST_FIT_SEED, FIRST_FIT_SEED + episodes))
-    played = Rollout(policy, task, n_agents, seeds, None).play()
+    played = Rollout(policy, Cell(task, n_agents), seeds, None).play()
     return torch.tensor(
         np.concatenate([each.observations[spaced_timesteps(each.makespan, FIT_TIMESTEPS)] for each in played])
     )

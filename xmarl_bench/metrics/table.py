@@ -51,6 +51,8 @@ class Need(StrEnum):
     SEEDS = "a stochastic explainer"
     PLAYED = "behaviour episodes"
     WALLS = "walls"
+    SUCCESS = "a task that tells success"
+    COLLISIONS = "a task that tells collisions"
     ATTENTION = "attention"
 
 
@@ -204,18 +206,18 @@ _SUCCESS_ON_EXPLANATION = Metric(
     "success of a team that hears the explanation only",
     "success_rate where the team communicates only along the k = floor((N - 1) / 2) highest messages of "
     "each row of the explanation of its own states; own edges are kept",
-    Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED,), column=3, short="success on mask",
+    Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED, Need.SUCCESS), column=3, short="success on mask",
 )  # fmt: skip
 _SUCCESS_ON_COMPLEMENT = Metric(
     "success_on_complement", "success on complement",
     "success of a team that hears the complement only",
     "the same, communicating only along the other messages",
-    Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3, short="on complement",
+    Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED, Need.SUCCESS), column=3, short="on complement",
 )  # fmt: skip
 _BEHAVIOURAL_FIDELITY = Metric(
     "behavioural_fidelity", "behavioural fidelity", "difference of the two successes",
     "success_on_explanation - success_on_complement",
-    Group.BEHAVIOUR, CORRELATION, HIGHER, needs=(Need.PLAYED,),
+    Group.BEHAVIOUR, CORRELATION, HIGHER, needs=(Need.PLAYED, Need.SUCCESS),
 )  # fmt: skip
 
 METRICS: tuple[Metric, ...] = (
@@ -274,13 +276,13 @@ METRICS: tuple[Metric, ...] = (
         "no_agent_collision_on_explanation", "collision-free on explanation",
         "episodes without collision of a team that hears the explanation only",
         "no_agent_collision of the team on the explanation",
-        Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED,), column=3,
+        Group.BEHAVIOUR, SHARE, HIGHER, needs=(Need.PLAYED, Need.COLLISIONS), column=3,
     ),
     Metric(
         "no_agent_collision_on_complement", "collision-free on complement",
         "episodes without collision of a team that hears the complement only",
         "no_agent_collision of the team on the complement",
-        Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED,), column=3,
+        Group.BEHAVIOUR, SHARE, LOWER, needs=(Need.PLAYED, Need.COLLISIONS), column=3,
     ),
     _BEHAVIOURAL_FIDELITY,
     *_acted_under(_SUCCESS_ON_EXPLANATION),
@@ -318,7 +320,7 @@ METRICS: tuple[Metric, ...] = (
     Metric(
         "success_gain", "success gained by messages", "success with messages less success without",
         "success_rate less that of the same episode without messages between agents, F(identity)",
-        Group.GAIN, CORRELATION, column=3, short="success gained", digits=2,
+        Group.GAIN, CORRELATION, needs=(Need.SUCCESS,), column=3, short="success gained", digits=2,
     ),
     Metric(
         "reward_gain", "reward gained by messages", "reward with messages less reward without",
@@ -332,12 +334,12 @@ METRICS: tuple[Metric, ...] = (
     Metric(
         "success_rate", "success rate", "fraction of agents at the goal in the end",
         "fraction of agents at goal when the episode ends; discovery: 1 if found",
-        Group.TASK, SHARE, HIGHER, column=1, short="success", digits=2,
+        Group.TASK, SHARE, HIGHER, needs=(Need.SUCCESS,), column=1, short="success", digits=2,
     ),
     Metric(
         "no_agent_collision", "no agent collision", "episodes in which no two agents touch",
         "1 if no two agents collided in the episode",
-        Group.TASK, SHARE, HIGHER, column=1, short="no agent collision", digits=2,
+        Group.TASK, SHARE, HIGHER, needs=(Need.COLLISIONS,), column=1, short="no agent collision", digits=2,
     ),
     Metric(
         "no_object_collision", "no object collision", "episodes in which nobody touches a wall",

@@ -13,13 +13,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
 
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.origin.installed import package_version
+from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin, plugin_error
 from xmarl_bench.origin.references import Origin, check_named, is_reference, load_reference
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.policy.policy_module import PolicyModule
@@ -47,10 +47,8 @@ class PolicyCode:
                 f"policy plugin {name!r} ({self}) calls itself {made.name!r}: use one name for both."
             )
         code = self.factory
-        where = (
-            f"{code.__module__}:{code.__qualname__}" if hasattr(code, "__qualname__") else self.plugin.value
-        )
-        return made.open(Origin(*_distribution(self.plugin), where))
+        where = f"{code.__module__}:{code.__qualname__}" if hasattr(code, "__qualname__") else None
+        return made.open(origin_of_plugin(self.plugin, where))
 
 
 def explainer_names() -> list[str]:
@@ -73,7 +71,7 @@ def find_explainer(name: str) -> Explainer:
     else:
         plugin = _explainer_plugin(name)
         what = f"explainer plugin {name!r} ({plugin.value})"
-        thing, origin = _load(plugin), Origin(*_distribution(plugin), plugin.value)
+        thing, origin = load_plugin(plugin), origin_of_plugin(plugin)
     try:
         explainer = as_explainer(thing)
     except InputError as error:
@@ -178,14 +176,14 @@ def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError
 
 
 def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
-    listed = _load(plugin)
+    listed = load_plugin(plugin)
     try:
         return {
             str(name): PolicyCode(plugin, place) if callable(place) else Path(place)
             for name, place in listed().items()
         }
     except Exception as error:
-        raise _plugin_error(plugin, error) from error
+        raise plugin_error(plugin, error) from error
 
 
 def _check_trust(name: str, trust_code: bool) -> None:
@@ -234,22 +232,3 @@ def _explainer_plugins() -> dict[str, EntryPoint]:
             )
         plugins[plugin.name] = plugin
     return plugins
-
-
-def _load(plugin: EntryPoint) -> Any:
-    try:
-        return plugin.load()
-    except Exception as error:
-        raise _plugin_error(plugin, error) from error
-
-
-def _plugin_error(plugin: EntryPoint, error: Exception) -> InputError:
-    name, _ = _distribution(plugin)
-    return InputError(
-        f"plugin {plugin.name!r} ({plugin.value}, of {name or 'an unknown distribution'}) failed to load "
-        f"({type(error).__name__}: {error}): correct or uninstall it."
-    )
-
-
-def _distribution(plugin: EntryPoint) -> tuple[str | None, str | None]:
-    return (plugin.dist.name, plugin.dist.version) if plugin.dist is not None else (None, None)

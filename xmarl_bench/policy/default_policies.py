@@ -22,7 +22,7 @@ def selection_key(task: str, seen: Mapping[str, float | None]) -> tuple[float, f
     makespan.
     """
     counted = ["success_rate"]
-    if hasattr(TASKS[task], "collision_penalty"):
+    if hasattr(TASKS.get(task), "collision_penalty"):
         counted += ["no_agent_collision", "no_object_collision"]
     return sum(seen.get(name) or 0.0 for name in counted), -(seen["makespan"] or 0.0)
 

@@ -7,13 +7,13 @@ a bundle, which holds no code, where the architecture allows it: see xmarl_bench
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from pydantic import ValidationError
 from safetensors.torch import save
 from torch import nn
-from xmarl_envs import TASKS
-from xmarl_envs.actions import action_width
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.origin.references import Origin
@@ -25,6 +25,7 @@ from xmarl_bench.policy.module import ModulePolicy
 from xmarl_bench.policy.tensors import check_tensors
 from xmarl_bench.records.strict_json import first_error
 from xmarl_bench.reproducible import torch_defaults
+from xmarl_bench.tasks.sources import open_task
 
 
 @dataclass(frozen=True)
@@ -33,10 +34,12 @@ class PolicyModule:
 
     network: forward(x (n, D), edge_index (2, edges)) -> (n, 2A), for each agent the location of its action's
         Normal and the scale before the biased softplus; (n, A) if `distribution` is "deterministic"; a logit
-        for each of the five actions of xmarl_envs.actions if it is "categorical". The rows are agents of one
+        for each of the task's actions if it is "categorical". The rows are agents of one
         team or of many at once; they may interact in torch_geometric's message-passing layers only, which
         pass one message for each edge. A network with memory has `initial_state` and `step` instead of
         forward, see xmarl_bench.policy.recurrent.
+    task: its name, or the task itself: a subclass of xmarl_envs.Task, or a function of a team size that
+        returns a PettingZoo ParallelEnv.
     distribution: "tanh_normal", "normal", "deterministic" or "categorical", see ActionDistribution.
     graph: which agents hear which.
     attention_entropy: weight of the attention-entropy term in training, 0 without it.
@@ -44,7 +47,7 @@ class PolicyModule:
 
     name: str
     network: nn.Module
-    task: str
+    task: str | Callable[..., Any]
     n_agents: int
     distribution: DistributionKind = "tanh_normal"
     graph: Graph = field(default_factory=CompleteGraph)
@@ -58,17 +61,15 @@ class PolicyModule:
         Raises InputError for an unknown task, a network that masks cannot explain (see ModulePolicy and
         xmarl_bench.policy.interventions), and an invalid name, team size or distribution.
         """
-        if self.task not in TASKS:
-            raise InputError(
-                f"policy {self.name!r} has the unknown task {self.task!r}: give one of {', '.join(TASKS)}."
-            )
         check_tensors(self.network, self.name)
-        obs_dim = len(TASKS[self.task].observation_names)
-        action_dim = action_width(self.distribution != "categorical")
+        # Whoever runs the policy's code runs that of its task.
+        source = open_task(self.task, trust_code=True)
+        task = source.make(self.n_agents).with_actions(self.distribution != "categorical")
+        obs_dim, action_dim = task.obs_dim, task.action_width
         try:
             card = PolicyCard(
                 name=self.name,
-                task=self.task,
+                task=source.name,
                 n_agents=self.n_agents,
                 attention_entropy=self.attention_entropy,
                 training_seed=self.training_seed,

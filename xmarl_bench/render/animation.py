@@ -73,7 +73,7 @@ def write_animation(
     choose, encode = _FORMATS[path.suffix]
     cycles = choose(recording.track.cycles)
     masks = _explain(recording, explainer, cycles, progress)
-    renderer = Renderer(recording.task, reach=_reach(recording))
+    renderer = Renderer(recording.scenery, reach=_reach(recording))
     title = ", ".join([recording.task.name, recording.team, *([explainer.name] if explainer else [])])
 
     def draw(cycle: int) -> Picture:
@@ -118,7 +118,7 @@ def _explain(
 
 def _reach(recording: Recording) -> float:
     """The scale of all pictures, that of the last one."""
-    return float(np.abs(recording.track.scene().track).max()) + recording.task.radius
+    return float(np.abs(recording.track.scene().track).max()) + recording.scenery.radius
 
 
 def _gif(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:

@@ -8,20 +8,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from xmarl_envs import State, Task, VectorEnv
+from xmarl_envs import TASKS, State, Task, VectorEnv
 from xmarl_envs.heuristics import heuristic
-from xmarl_envs.scene import Track
+from xmarl_envs.scene import Drawable, Picture, Track
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.fitting import fitted
 from xmarl_bench.policy import Policy
+from xmarl_bench.render.ring import Ring
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
-from xmarl_bench.rollout.episodes import chooser, initial_state, with_actions_of
+from xmarl_bench.rollout.episodes import chooser, initial_state
 from xmarl_bench.rollout.simulator import Simulator
+from xmarl_bench.tasks.interface import TeamEpisodes, TeamTask, random_actions
+from xmarl_bench.tasks.parallel_task import ParallelEpisodes
 
 Floats = NDArray[np.float32]
 
+WIDEST = 400  # pixels of a backdrop: a recording keeps one for every step
 TEAMS = HEURISTIC, RANDOM = ("heuristic", "random")  # teams without a policy
 
 
@@ -29,14 +33,15 @@ TEAMS = HEURISTIC, RANDOM = ("heuristic", "random")  # teams without a policy
 class Recording:
     """An episode of T steps and N agents."""
 
-    task: Task
+    task: TeamTask
+    scenery: Drawable  # where agents stand and what is around them
     team: str  # the policy's name, HEURISTIC or RANDOM
     policy: Policy | None
     run_seed: int  # the seed of the run that plays this episode
     seed: int  # of the episode
     track: Track
     observations: Floats  # (T, N, D + H), before each action: what agents saw and remembered
-    success_rate: float  # fraction of agents at their goals when it ended; discovery: 1 if found
+    success_rate: float  # as in `Episode`
 
     def explain(self, explainer: Explainer, cycles: Sequence[int]) -> NDArray[np.float32]:
         """(S, N, N): masks of the chosen steps; the same as in scoring if all steps are chosen.
@@ -58,7 +63,7 @@ class Recording:
 
 
 def record(
-    task: Task,
+    task: TeamTask,
     team: str,
     policy: Policy | None = None,
     *,
@@ -79,23 +84,25 @@ def record(
         )
     environment_seed = episode_seeds(seed, episode + 1)[episode]
     if policy is not None:
-        task = with_actions_of(policy, task)
+        task = task.with_actions(policy.continuous_actions)
     choose = _choose(task, team, policy, environment_seed)
-    env = VectorEnv(task, 1, max_cycles)
+    env = task.vector_env(1, max_cycles)
+    scenery = task if isinstance(task, Task) else Ring(task.name, task.n_agents)
     observation = env.reset([environment_seed])[0]
     memory = observation[:, :0] if policy is None else initial_state(policy, task.n_agents)
-    track, observations = Track(env.state), []
+    track, observations = Track(_state(env, scenery), backdrop=_backdrop(env)), []
     with one_thread():
         while True:
             observations.append(np.concatenate([observation, memory], axis=-1))
-            action, memory = choose(env.state, observations[-1])
+            action, memory = choose(_state(env, scenery), observations[-1])
             step = env.step(action[None])
-            track.add(env.state, step)
+            track.add(_state(env, scenery), step, _backdrop(env))
             observation = step.observation[0]
             if step.terminated[0] or step.truncated[0]:
                 break
     return Recording(
         task=task,
+        scenery=scenery,
         team=team,
         policy=policy,
         run_seed=seed,
@@ -106,8 +113,22 @@ def record(
     )
 
 
+def _state(env: TeamEpisodes, scenery: Task | Ring) -> State:
+    """Where the agents of the only episode are in a picture."""
+    if isinstance(scenery, Ring):
+        return scenery.state
+    assert isinstance(env, VectorEnv)
+    return env.state
+
+
+def _backdrop(env: TeamEpisodes) -> Picture | None:
+    """What a task of others draws itself, at most WIDEST pixels wide and high."""
+    picture = env.picture(0) if isinstance(env, ParallelEpisodes) else None
+    return None if picture is None else picture[(slice(None, None, -(-max(picture.shape) // WIDEST)),) * 2]
+
+
 def _choose(
-    task: Task, team: str, policy: Policy | None, seed: int
+    task: TeamTask, team: str, policy: Policy | None, seed: int
 ) -> Callable[[State, Floats], tuple[Floats, Floats]]:
     """(state, observations (N, D + H)) -> actions (N, 2) or (N,), what is remembered next (N, H)."""
     if policy is not None:
@@ -119,11 +140,11 @@ def _choose(
 
         return act
     if team == HEURISTIC:
+        if not isinstance(task, Task) or task.name not in TASKS:
+            raise InputError(f"task {task.name!r} has no heuristic: choose {RANDOM!r}, or a policy.")
         return lambda state, seen: (heuristic(task, state)[0].astype(np.float32), seen[..., :0])
     if team == RANDOM:
         rng = np.random.default_rng([seed, 1])
-        return lambda _, seen: (
-            rng.uniform(-1, 1, (task.n_agents, 2)).astype(np.float32),
-            seen[..., :0],
-        )
+        kind = np.float32 if task.continuous_actions else np.int64
+        return lambda _, seen: (random_actions(task, 1, rng)[0].astype(kind), seen[..., :0])
     raise InputError(f"team {team!r} has no policy: give one, or choose {HEURISTIC!r} or {RANDOM!r}.")

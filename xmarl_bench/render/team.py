@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from xmarl_envs import TASKS
-
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Policy
 from xmarl_bench.render.recording import TEAMS
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.scoring.selection import ALL, select_policies
+from xmarl_bench.tasks.sources import open_task, task_names
 
 
 def select_team(
@@ -21,9 +20,14 @@ def select_team(
     if policy in TEAMS:
         if task is None:
             raise InputError(
-                f"the team {policy!r} plays any task: choose one of {', '.join(TASKS)}, or choose a policy."
+                f"the team {policy!r} plays any task: choose one of {', '.join(task_names())}, or choose a "
+                f"policy."
             )
-        return None, policy, Cell(task, 3 if agents is None else agents)
+        return (
+            None,
+            policy,
+            Cell(open_task(task, trust_code=trust_code).name, 3 if agents is None else agents),
+        )
     sizes = [ALL if agents is None else str(agents)]
     ((network, card, (cell,)),) = select_policies([policy], [task or ALL], sizes, trust_code=trust_code)
     return network, card.name, cell

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from xmarl_envs import TASKS, Task, make_task
 
-from xmarl_bench.errors import InputError, unknown
+from xmarl_bench.errors import InputError
 from xmarl_bench.reproducible import episode_seeds
+from xmarl_bench.tasks.interface import TeamTask
+from xmarl_bench.tasks.sources import TaskSource, known_task
 
 BLOCK = 10  # episodes in a unit of work: a killed run loses at most so many per worker
 
@@ -20,17 +21,15 @@ class Cell:
 
     task: str
     n_agents: int
+    source: TaskSource = field(init=False, repr=False, compare=False)  # a worker process knows no names
 
     def __post_init__(self) -> None:
-        check_task(self.task)
-        most = TASKS[self.task].max_agents
-        if not 1 <= self.n_agents <= most:
-            raise InputError(
-                f"{self.task} takes 1 to {most} agents, got {self.n_agents}: choose a number in that range."
-            )
+        object.__setattr__(self, "source", known_task(self.task))
+        self.make()
 
-    def make(self) -> Task:
-        return make_task(self.task, self.n_agents)
+    def make(self) -> TeamTask:
+        """The task for this team. Raises InputError as `TaskSource.make` does."""
+        return self.source.make(self.n_agents)
 
 
 @dataclass(frozen=True)
@@ -57,12 +56,6 @@ class Sampling:
     @property
     def seeds(self) -> list[int]:
         return episode_seeds(self.seed, self.episodes) if self.given is None else list(self.given)
-
-
-def check_task(name: str) -> None:
-    """Raise InputError if the task is unknown."""
-    if name not in TASKS:
-        raise unknown("task", name, TASKS)
 
 
 def spaced_timesteps(length: int, timesteps: int | None) -> NDArray[np.int64]:

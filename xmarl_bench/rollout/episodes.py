@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from xmarl_envs import TASKS, Step, Task, VectorEnv, make_task
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.table import Group, Need, metrics_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.teams_apart import step_teams
 from xmarl_bench.reproducible import one_thread, torch_defaults
+from xmarl_bench.rollout.cell import Cell
+from xmarl_bench.tasks.interface import TeamStep, TeamTask
 
 Floats = NDArray[np.float32]
 
@@ -25,7 +26,8 @@ Floats = NDArray[np.float32]
 class Episode:
     """One episode: what the team observed at each of its T steps, and its task metrics.
 
-    Metrics as in Kailas et al. (ICML 2025), appendix "Metrics for Task Performance".
+    Metrics as in Kailas et al. (ICML 2025), appendix "Metrics for Task Performance"; NaN for what the task
+    does not tell.
     """
 
     seed: int
@@ -38,13 +40,17 @@ class Episode:
     makespan: int  # steps until done, max_cycles if never
 
 
-def mean_metrics(task: str, episodes: Sequence[Episode]) -> dict[str, float | None]:
-    """Means of the task metrics over episodes; None for a metric that the task does not have."""
-    lacking = set() if TASKS[task].n_walls else {Need.WALLS}
+def mean_metrics(task: TeamTask, episodes: Sequence[Episode]) -> dict[str, float | None]:
+    """Means of the task metrics over episodes; None for a metric that the task does not have or not tell."""
+    lacking = set() if task.has_objects else {Need.WALLS}
+    values = {
+        metric.name: np.array([getattr(episode, metric.name) for episode in episodes])
+        for metric in metrics_of(Group.TASK)
+        if not lacking & set(metric.needs)
+    }
+    told = {name: each[~np.isnan(each)] for name, each in values.items()}
     return {
-        metric.name: None
-        if lacking & set(metric.needs)
-        else float(np.mean([getattr(episode, metric.name) for episode in episodes]))
+        metric.name: float(np.mean(told[metric.name])) if len(told.get(metric.name, ())) else None
         for metric in metrics_of(Group.TASK)
     }
 
@@ -62,7 +68,7 @@ class Act(Protocol):
 
 @torch_defaults()
 def roll_out(
-    task: Task,
+    task: TeamTask,
     policy: Policy,
     seeds: Sequence[int],
     *,
@@ -76,8 +82,9 @@ def roll_out(
 
     mask: (N, N), the team acts on F(mask) throughout; the identity removes all messages between agents.
 
-    Each episode has a pymunk Space of its own, and teams act apart (`policy.teams_apart`). An episode depends
-    on (task, N, seed, policy) alone: the result is the same, bit for bit, for any `parallel_episodes`.
+    Each episode has a physics or an environment of its own, and teams act apart (`policy.teams_apart`). An
+    episode depends on (task, N, seed, policy) alone: the result is the same, bit for bit, for any
+    `parallel_episodes`.
     """
     start, choose = initial_state(policy, task.n_agents), chooser(policy, mask)
 
@@ -88,7 +95,7 @@ def roll_out(
         return action, memory
 
     return play(
-        with_actions_of(policy, task),
+        task.with_actions(policy.continuous_actions),
         act,
         seeds,
         start=start,
@@ -98,7 +105,7 @@ def roll_out(
 
 
 def play(
-    task: Task,
+    task: TeamTask,
     act: Act,
     seeds: Sequence[int],
     *,
@@ -114,7 +121,7 @@ def play(
     width = min(parallel_episodes, len(seeds))
     if width < 1:
         return []
-    env = VectorEnv(task, width, max_cycles)
+    env = task.vector_env(width, max_cycles)
     playing = list(range(width))  # slot -> index of the seed it plays; -1: no seed is left
     observation = env.reset([seeds[k] for k in playing])
     start = np.zeros((task.n_agents, 0), dtype=np.float32) if start is None else start
@@ -164,18 +171,12 @@ def initial_state(policy: Policy, n_agents: int) -> Floats:
     return np.asarray(policy.initial_state(n_agents).float().numpy())
 
 
-def with_actions_of(policy: Policy, task: Task) -> Task:
-    """The task with continuous or with discrete actions, as the policy chooses them."""
-    return replace(task, continuous_actions=policy.continuous_actions)
-
-
 @dataclass(frozen=True)
 class Rollout:
     """Episodes to play in parallel in one process: the unit of work of a worker."""
 
     policy: Policy
-    task: str
-    n_agents: int
+    cell: Cell
     seeds: tuple[int, ...]
     max_cycles: int | None
     messages: bool = True  # False: every agent hears itself only
@@ -184,12 +185,12 @@ class Rollout:
     def play(self) -> list[Episode]:
         with one_thread():
             return roll_out(
-                make_task(self.task, self.n_agents),
+                self.cell.make(),
                 self.policy,
                 self.seeds,
                 parallel_episodes=self.parallel_episodes or len(self.seeds),
                 max_cycles=self.max_cycles,
-                mask=None if self.messages else torch.eye(self.n_agents),
+                mask=None if self.messages else torch.eye(self.cell.n_agents),
             )
 
 
@@ -207,20 +208,20 @@ class _Recorder:
         self.seed = seed
         self.observations: list[NDArray[np.float32]] = []
         self._return = 0.0
-        self._agent_collision = self._object_collision = False
+        self._agent_collision = self._object_collision = 0.0  # 1: there was one; NaN: the task does not tell
 
-    def add(self, step: Step, slot: int) -> None:
+    def add(self, step: TeamStep, slot: int) -> None:
         self._return += float(step.reward[slot].mean())
-        self._agent_collision |= bool(step.agent_collision[slot].any())
-        self._object_collision |= bool(step.object_collision[slot].any())
+        self._agent_collision = float(np.maximum(self._agent_collision, step.agent_collision[slot].max()))
+        self._object_collision = float(np.maximum(self._object_collision, step.object_collision[slot].max()))
 
-    def episode(self, last: Step, slot: int) -> Episode:
+    def episode(self, last: TeamStep, slot: int) -> Episode:
         return Episode(
             seed=self.seed,
             observations=np.stack(self.observations),
             reward=self._return,
             success_rate=float(last.success[slot].mean()),
-            no_agent_collision=float(not self._agent_collision),
-            no_object_collision=float(not self._object_collision),
+            no_agent_collision=1.0 - self._agent_collision,
+            no_object_collision=1.0 - self._object_collision,
             makespan=len(self.observations),
         )

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from xmarl_envs import TASKS
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import attention_entropy
@@ -74,7 +73,7 @@ def evaluate(
     seeds, max_cycles = tuple(sampling.seeds), sampling.max_cycles
     width = min(parallel_episodes, BLOCK)
     units = [
-        Rollout(policy, cell.task, cell.n_agents, seeds[first : first + width], max_cycles, messages=messages)
+        Rollout(policy, cell, seeds[first : first + width], max_cycles, messages=messages)
         for policy, cell in policies
         for messages in (True, False)
         for first in range(0, len(seeds), width)
@@ -84,26 +83,31 @@ def evaluate(
     episodes = [[next(every) for _ in seeds] for _ in range(2 * len(policies))]
     performances = []
     for (policy, cell), heard, unheard in zip(policies, episodes[::2], episodes[1::2], strict=True):
+        task = cell.make()
         performances.append(
             Performance(
                 task=cell.task,
                 n_agents=cell.n_agents,
                 episodes=sampling.episodes,
                 seed=sampling.seed,
-                max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
-                with_messages=mean_metrics(cell.task, heard),
-                without_messages=mean_metrics(cell.task, unheard),
-                messages_gain={name: _gain(name, heard, unheard) for name in GAINS.values()},
+                max_cycles=sampling.max_cycles or task.default_max_cycles,
+                with_messages=mean_metrics(task, heard),
+                without_messages=mean_metrics(task, unheard),
+                messages_gain={
+                    name: gain for name in GAINS.values() if (gain := _gain(name, heard, unheard)) is not None
+                },
                 attention_entropy=_attention_entropy(policy, heard),
             )
         )
     return performances
 
 
-def _gain(name: str, heard: Sequence[Episode], unheard: Sequence[Episode]) -> dict[str, float]:
+def _gain(name: str, heard: Sequence[Episode], unheard: Sequence[Episode]) -> dict[str, float] | None:
+    """The gain of a metric with its interval; None if the task does not tell the metric."""
     a, b = ([getattr(episode, name) for episode in episodes] for episodes in (heard, unheard))
     gain = over_units([a], [b])
-    assert gain.value is not None
+    if gain.value is None:
+        return None
     low, high = gain.interval or (gain.value, gain.value)
     return {"value": gain.value, "low": low, "high": high}
 

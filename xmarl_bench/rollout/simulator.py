@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
-from xmarl_envs import VectorEnv, make_task
+from xmarl_envs import TASKS, VectorEnv, make_task
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Policy
-from xmarl_bench.rollout.episodes import with_actions_of
 
 STATE_NAMES = ("position_x", "position_y", "velocity_x", "velocity_y")  # entries of an observation
 
@@ -36,7 +35,11 @@ class Simulator:
         physics, so what happens in it does not depend on the others. Raises InputError for observations of
         another shape, or of a task that does not observe positions and velocities.
         """
-        task = with_actions_of(policy, make_task(self.task, self.n_agents))
+        if self.task not in TASKS:
+            raise InputError(
+                f"{self.task} cannot be restarted, it is no task of xmarl_envs: choose another explainer."
+            )
+        task = make_task(self.task, self.n_agents).with_actions(policy.continuous_actions)
         missing = [name for name in STATE_NAMES if name not in task.observation_names]
         if missing:
             raise InputError(

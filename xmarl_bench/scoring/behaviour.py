@@ -26,7 +26,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from xmarl_envs import make_task
 
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES
 from xmarl_bench.entry.schema import BehaviourRow
@@ -38,7 +37,8 @@ from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.table import OTHER_ABSENCES
 from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, existing_edges
 from xmarl_bench.reproducible import derived_seed, one_thread
-from xmarl_bench.rollout.episodes import Episode, Floats, initial_state, play, with_actions_of
+from xmarl_bench.rollout.cell import Cell
+from xmarl_bench.rollout.episodes import Episode, Floats, initial_state, play
 from xmarl_bench.scoring.rankings import number
 
 BLOCK = 50  # episodes: the protocol's, in one batch
@@ -74,8 +74,7 @@ class BehaviourBlock:
 
     policy: Policy
     explainer: Explainer | None  # None: messages chosen at random, as a baseline
-    task: str
-    n_agents: int
+    cell: Cell
     seeds: tuple[int, ...]  # of the episodes
     seed: int  # of the run
     max_cycles: int | None
@@ -97,10 +96,10 @@ class BehaviourBlock:
         try:
             with one_thread():
                 episodes = play(
-                    with_actions_of(self.policy, make_task(self.task, self.n_agents)),
+                    self.cell.make().with_actions(self.policy.continuous_actions),
                     BlockAct(self),
                     self.seeds * teams,
-                    start=initial_state(self.policy, self.n_agents),
+                    start=initial_state(self.policy, self.cell.n_agents),
                     parallel_episodes=teams * n,
                     max_cycles=self.max_cycles,
                 )
@@ -142,8 +141,8 @@ class BlockAct:
             seed = derived_seed("behaviour", block.explainer.name, *parts)
             mask = run_explainer(block.explainer, self.policy, x, seed).double().numpy()
         edges = existing_edges(self.policy, x)
-        top = top_messages(mask, noise, kept_messages(block.n_agents), edges)
-        own = torch.eye(block.n_agents)
+        top = top_messages(mask, noise, kept_messages(block.cell.n_agents), edges)
+        own = torch.eye(block.cell.n_agents)
         for complement in range(size, len(top), 2 * size):
             top[complement : complement + size] = 1.0 - top[complement : complement + size]
         heard = torch.maximum(top, own)

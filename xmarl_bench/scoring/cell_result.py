@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import torch
-from xmarl_envs import TASKS
-
 from xmarl_bench.entry.aggregation import SANITY, Acted, cell_metrics, control_metrics, sampling_error
 from xmarl_bench.entry.protocol import SAMPLED
 from xmarl_bench.entry.schema import (
@@ -87,7 +84,7 @@ def cell_result(
         [results.played(piece) for piece in pieces]
         for pieces in (needed.behaviour, needed.absences, needed.random_behaviour, needed.random_absences)
     )
-    reasons = not_measured(request, cell, torch.tensor(episodes[0].observations[:1]))
+    reasons = not_measured(request, cell, episodes)
     rows = tuple(
         episode_row(cell, *parts)
         for parts in zip(
@@ -100,7 +97,7 @@ def cell_result(
     result = CellResult(
         task=cell.task,
         n_agents=cell.n_agents,
-        max_cycles=sampling.max_cycles or TASKS[cell.task].default_max_cycles,
+        max_cycles=sampling.max_cycles or cell.make().default_max_cycles,
         metrics=cell_metrics(rows, sampling.seed, reasons, acted),
         not_measured=reasons,
         controls={**controls.of(request, cell, needed, shared, floor, reasons), INVERTED: inverted},
@@ -181,7 +178,7 @@ def episode_row(
             **{name: value for part in parts for name, value in part},
             **{
                 name: None if value is None else number(value)
-                for name, value in mean_metrics(cell.task, [episode]).items()
+                for name, value in mean_metrics(cell.make(), [episode]).items()
             },
         }
     )

@@ -1,8 +1,9 @@
 """The key of a piece in the cache: a hash of everything that its result depends on.
 
-A policy counts by its architecture and weights, code by its `code_hash`, the harness by all of its sources,
-the packages that compute and the processor's vector instructions. Files that the user's code reads are not
-covered. An object without a hash gets a new key each time, so that its pieces are computed again.
+A policy counts by its architecture and weights, a task of others by its origin, code by its `code_hash`, the
+harness by all of its sources, the packages that compute and the processor's vector instructions. Files that
+the user's code reads are not covered. An object without a hash gets a new key each time, so that its pieces
+are computed again.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.origin.installed import package_version
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.records.files import canonical_json
+from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.scoring.cache import VERSION_DIGITS
 from xmarl_bench.scoring.code_hash import harness_sources, object_sha256, sources_sha256
+from xmarl_bench.scoring.task_record import task_record
 
 PACKAGES = ("captum", "numpy", "pymunk", "torch", "torch-geometric")
 
@@ -47,7 +50,7 @@ def piece_key(*parts: Any) -> str:
 
 @dataclass
 class Keys:
-    """Keys of policies and explainers, each computed once in a run."""
+    """Keys of policies, explainers and tasks, each computed once in a run."""
 
     _known: dict[int, tuple[object, str]] = field(default_factory=dict)  # by id of the object in the value
 
@@ -57,6 +60,14 @@ class Keys:
 
     def explainer(self, explainer: Explainer) -> str:
         return self._once(explainer, lambda: _explainer_key(explainer))
+
+    def task(self, cell: Cell) -> str | None:
+        """Key of a task's code and origin; None for a task of xmarl_envs, which is of the harness."""
+        record = task_record(cell)
+        if record is None:
+            return None
+        code = self._once(cell.source.factory, lambda: _code_key(cell.source.factory))
+        return _sha256([record.model_dump(mode="json"), code])
 
     def _once(self, thing: object, key: Callable[[], str]) -> str:
         if id(thing) not in self._known:

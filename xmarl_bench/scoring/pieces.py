@@ -29,6 +29,7 @@ class Environment:
     policy: Policy = field(compare=False)
     card: PolicyCard = field(compare=False)
     policy_key: str
+    task_key: str | None  # None: a task of xmarl_envs
     cell: Cell
     seed: int
     max_cycles: int | None
@@ -37,7 +38,7 @@ class Environment:
     def of(cls, request: Request, cell: Cell, keys: Keys) -> Environment:
         policy, card, sampling = request.policy, request.card, request.sampling
         key = keys.policy(policy, card)
-        return cls(policy, card, key, cell, sampling.seed, sampling.max_cycles)
+        return cls(policy, card, key, keys.task(cell), cell, sampling.seed, sampling.max_cycles)
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class Block:
 
     def key(self) -> list[str | int | list[int] | None]:
         environment, seeds = self.environment, list(self.seeds)
-        where = environment.policy_key, environment.cell.task, environment.cell.n_agents
+        cell = environment.cell
+        where = environment.policy_key, environment.task_key, cell.task, cell.n_agents
         return [*where, environment.seed, environment.max_cycles, self.first, seeds]
 
 

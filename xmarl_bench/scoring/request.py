@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from xmarl_envs.actions import action_width
-
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
@@ -52,19 +50,18 @@ class Request:
 
 def check_fit(card: PolicyCard, cell: Cell) -> None:
     """Raise InputError if the policy cannot act in the cell."""
-    task = cell.make()
+    continuous = card.architecture.distribution != "categorical"
+    task = cell.make().with_actions(continuous)
     if card.architecture.obs_dim != task.obs_dim:
         raise InputError(
             f"policy {card.name!r} takes observations of {card.architecture.obs_dim} entries, {cell.task} "
             f"gives {task.obs_dim}: choose a policy trained for {cell.task}."
         )
-    continuous = card.architecture.distribution != "categorical"
-    expected = action_width(continuous)
-    if card.architecture.action_dim != expected:
+    if card.architecture.action_dim != task.action_width:
         entries = "action entries" if continuous else "actions to choose from"
         raise InputError(
             f"policy {card.name!r} has {card.architecture.action_dim} {entries}, {cell.task} takes "
-            f"{expected}: choose a policy trained for {cell.task}."
+            f"{task.action_width}: choose a policy trained for {cell.task}."
         )
     card.architecture.graph.check(cell.n_agents, task.obs_dim)
     if card.task != cell.task:

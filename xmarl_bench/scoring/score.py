@@ -7,14 +7,15 @@ episodes, and whether its pieces come from one run or several.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from xmarl_bench.entry.protocol import definitions
 from xmarl_bench.entry.provenance import now, provenance
-from xmarl_bench.entry.schema import Entry, ExplainerRecord, PolicyRecord, Protocol, make_entry
+from xmarl_bench.entry.schema import Entry, ExplainerRecord, PolicyRecord, Protocol, TaskRecord, make_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER
@@ -36,6 +37,8 @@ from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.results import Results
 from xmarl_bench.scoring.run_record import RunRecord
 from xmarl_bench.scoring.sweep import Sweep
+from xmarl_bench.scoring.task_record import task_record
+from xmarl_bench.tasks.sources import open_task
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ def score(
     policy: str | Path | PolicyModule | tuple[Policy, PolicyCard],
     explainer: object,
     *,
-    task: str | None = None,
+    task: str | Callable[..., Any] | None = None,
     n_agents: int | None = None,
     episodes: int = 50,
     timesteps: int | None = None,
@@ -75,18 +78,20 @@ def score(
             `load_policy`, or a network of your own as a `PolicyModule`.
         explainer: a registered name, `path/to/file.py:Name`, `module:Name`, an `Explainer`, or anything that
             `as_explainer` accepts: a function, a class, an algorithm of torch_geometric.explain.
-        task, n_agents: by default those that the policy was trained for.
+        task, n_agents: by default those that the policy was trained for. A task of your own is its registered
+            name, `module:factory`, or the factory itself: see `PolicyModule`.
         episodes, timesteps, max_cycles, seed: which states, see `Sampling`.
         behaviour_episodes: how many of the episodes the team also plays on the explanation, which calls the
             explainer at every step; by default all, or none if the explainer declares itself slow.
         jobs: processes.
         parallel_episodes: episodes stepped in parallel in a process.
-        trust_code: run the code of the policy, if it has its own.
+        trust_code: run the code of policy and task, if they have their own.
         cache: folder of the cache, see `Cache`; by default nothing is kept.
 
     The caller's settings of torch (default dtype and device, autocast, inference mode) have no effect. Raises
     InputError if an argument is invalid or the explainer fails.
     """
+    where = None if task is None else open_task(task, trust_code=trust_code).name
     if isinstance(policy, str | Path):
         network, card = open_policy(str(policy), trust_code=trust_code)
     elif isinstance(policy, PolicyModule):
@@ -97,7 +102,9 @@ def score(
         chosen = find_explainer(explainer)
     else:
         chosen = checked_name(as_explainer(explainer))
-    cell = Cell(card.task if task is None else task, card.n_agents if n_agents is None else n_agents)
+    if where is None:
+        where = open_task(card.task, trust_code=trust_code).name
+    cell = Cell(where, card.n_agents if n_agents is None else n_agents)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
     request = Request(network, card, chosen, (cell,), sampling, behaviour_episodes)
     outcomes = score_requests(
@@ -200,11 +207,18 @@ def _entry(
             seeds=tuple(sampling.seeds),
             timesteps=sampling.timesteps,
             definitions=definitions(card.architecture.distribution),
+            tasks=_task_records(request.cells),
         ),
         results=tuple(result for result, _ in cells),
         cost=total_cost([cost for _, cost in cells]),
         provenance=provenance(started, jobs),
     )
+
+
+def _task_records(cells: Sequence[Cell]) -> dict[str, TaskRecord] | None:
+    """The records of the tasks that are not of xmarl_envs, by name; None without one."""
+    records = {cell.task: task_record(cell) for cell in cells}
+    return {name: record for name, record in records.items() if record is not None} or None
 
 
 def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from xmarl_envs import TASKS
-
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
@@ -21,8 +19,9 @@ from xmarl_bench.plugins.registry import (
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_checkpoint
-from xmarl_bench.rollout.cell import Cell, Sampling, check_task
+from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.scoring.request import Request, check_fit
+from xmarl_bench.tasks.sources import open_task
 
 ALL, FINISHED, DEFAULT = "all", "finished", "default"
 Opened = tuple[Policy, PolicyCard]
@@ -54,19 +53,17 @@ def select_policies(
     teams: team sizes to run the chosen policies with, in place of those they were trained for.
     """
     sizes = _sizes(agents)
-    for task in tasks:
-        if task != ALL:
-            check_task(task)
-    wanted_tasks = list(TASKS) if ALL in tasks else list(tasks)
+    wanted_tasks = [open_task(task, trust_code=trust_code).name for task in tasks if task != ALL]
+    any_task = ALL in tasks
     meant = _meant(names, trust_code)
     if meant is not None:
         chosen = {
             name: each.open
             for name, each in meant.items()
-            if each.card.task in wanted_tasks and (sizes is None or each.card.n_agents in sizes)
+            if (any_task or each.card.task in wanted_tasks) and (sizes is None or each.card.n_agents in sizes)
         }
         if not chosen:
-            tasks_asked = "any task" if ALL in tasks else " or ".join(wanted_tasks)
+            tasks_asked = "any task" if any_task else " or ".join(wanted_tasks)
             sizes_asked = "any number of" if sizes is None else " or ".join(map(str, sizes))
             raise InputError(
                 f"no policy is installed for {tasks_asked} with {sizes_asked} agents: "
@@ -78,14 +75,14 @@ def select_policies(
     selected: list[tuple[Policy, PolicyCard, tuple[Cell, ...]]] = []
     for name, open_it in chosen.items():
         policy, card = open_it()
-        check_task(card.task)
+        open_task(card.task, trust_code=trust_code)
         # Names of policies are unique in a run, because files of entries are named by them.
         if any(card.name == other.name for _, other, _ in selected):
             raise InputError(
                 f"two policies are named {card.name!r} ({name} is one): rename one, or leave it out."
             )
         cells = tuple(Cell(card.task, n) for n in (dict.fromkeys(teams) or sizes or [card.n_agents]))
-        if card.task not in wanted_tasks:
+        if not any_task and card.task not in wanted_tasks:
             check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # raises the reason
         for cell in cells:
             check_fit(card, cell)

@@ -106,8 +106,7 @@ class Sweep:
         environment = piece.block.environment
         rollout = Rollout(
             environment.policy,
-            environment.cell.task,
-            environment.cell.n_agents,
+            environment.cell,
             piece.block.seeds,
             environment.max_cycles,
             messages=piece.kind == "episodes",
@@ -222,8 +221,8 @@ class Sweep:
         environment, name = piece.block.environment, piece.explainer
         explainer = None if name is None else self._ready[environment, name]
         return BehaviourBlock(
-            environment.policy, explainer, environment.cell.task, environment.cell.n_agents,
-            piece.block.seeds, environment.seed, environment.max_cycles,
+            environment.policy, explainer, environment.cell, piece.block.seeds, environment.seed,
+            environment.max_cycles,
             self._reference(environment) if piece.kind == "absences" else None,
         )  # fmt: skip
 

@@ -36,6 +36,7 @@ RANDOM, INVERTED, ORACLE = "random", "inverted", "oracle"
 ALWAYS_PRESENT = {"all-ones", "zeros", RANDOM, "bernoulli", "self", INVERTED, "nearest"}
 IF_INITIAL_SEED = {"initial-attention"}  # present if the card has the seed of the initial weights
 IF_ORACLE = {ORACLE, "soft-oracle"}
+TOLD = ("success_rate", "success_gain", "no_agent_collision")  # our tasks tell these
 CLOSE = 1e-9  # relative to the larger of 1 and the number: the order of sums may differ
 BEHAVIOURAL = ("behavioural_fidelity", "success_on_explanation", "success_on_complement")
 PREFIXES = ("", *(f"{absence}_" for absence in OTHER_ABSENCES))
@@ -114,6 +115,9 @@ def _cell_findings(entry: Entry, cell: CellResult) -> Iterator[str]:
         yield f"the task takes 1 to {task.max_agents} agents, got {cell.n_agents}."
     if entry.policy.task != cell.task:
         yield f"the policy was trained for {entry.policy.task}."
+    untold = sorted(set(TOLD) & set(cell.not_measured))
+    if untold:
+        yield f"not_measured names {untold[0]}, which the task tells."
     if [row.seed for row in cell.episodes] != list(entry.protocol.seeds):
         yield f"episodes are not one for each of the {entry.protocol.episodes} seeds, in their order."
         return

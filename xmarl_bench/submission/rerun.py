@@ -94,7 +94,7 @@ def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen:
     explainer = fitted(request.explainer, request.policy, cell.task, cell.n_agents, sampling.seed)
     seeds = tuple(sampling.seeds[k] for k in chosen)
     rollouts = [
-        Rollout(request.policy, cell.task, cell.n_agents, seeds, sampling.max_cycles, messages=messages)
+        Rollout(request.policy, request.cells[0], seeds, sampling.max_cycles, messages=messages)
         for messages in (True, False)
     ]
     reference = reference_states(request.policy, cell.task, cell.n_agents)

@@ -96,7 +96,7 @@ class ModelSelection(BaseCallback):
         for name in MEASURES:
             record[name] = float(np.mean([getattr(episode, name) for episode in episodes]))
             self.logger.record(f"validation/{name}", record[name])
-        if not self._cell.make().n_walls:
+        if not self._cell.make().has_objects:
             record["no_object_collision"] = None
         weights = weights_at(self._folder, record)
         weights.parent.mkdir(parents=True, exist_ok=True)

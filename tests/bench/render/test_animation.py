@@ -39,9 +39,9 @@ def recorded(max_cycles: int, n_agents: int = 3, team: str = "random") -> Record
 
 def expected(recording: Recording, cycle: int) -> Picture:
     track = recording.track
-    reach = float(np.abs(track.scene().track).max()) + recording.task.radius
+    reach = float(np.abs(track.scene().track).max()) + recording.scenery.radius
     title = f"{recording.task.name}, {recording.team}"
-    picture = Renderer(recording.task, reach=reach).draw(track.scene(cycle), title=title)
+    picture = Renderer(recording.scenery, reach=reach).draw(track.scene(cycle), title=title)
     assert picture is not None
     return picture
 

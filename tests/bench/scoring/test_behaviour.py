@@ -20,6 +20,7 @@ from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.table import OTHER_ABSENCES, Group, names_of
 from xmarl_bench.policy import Policy
+from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.scoring.behaviour import (
     BLOCK,
@@ -55,7 +56,9 @@ def play(
 ) -> Played:
     """others: under the absence models other than zero."""
     reference = random_observations(7, n_agents, 6, seed=3) if others else None
-    played = BehaviourBlock(small_policy(6), explainer, TASK, n_agents, seeds, 0, max_cycles, reference).run()
+    played = BehaviourBlock(
+        small_policy(6), explainer, Cell(TASK, n_agents), seeds, 0, max_cycles, reference
+    ).run()
     assert isinstance(played, Played)
     return played
 
@@ -146,7 +149,7 @@ def test_a_step_under_each_model_is_that_of_a_dense_computation(n_agents: int, r
     observation, reference = (random_observations(n, n_agents, 6, seed=n) for n in (12, 5))
     ranks = torch.rand(n_agents, n_agents, generator=torch.Generator().manual_seed(0))
     fixed = Explainer("fixed", lambda policy, x, generator: ranks.expand(len(x), *ranks.shape))
-    act = BlockAct(BehaviourBlock(policy, fixed, TASK, n_agents, (1, 2), 0, None, reference))
+    act = BlockAct(BehaviourBlock(policy, fixed, Cell(TASK, n_agents), (1, 2), 0, None, reference))
     found = act(observation.numpy(), range(12))[0].reshape(3, 2, 2, n_agents, 2)  # model, half, episode
     x = observation.double().numpy().reshape(3, 2, 2, n_agents, 6)
     no_ties = np.zeros((1, n_agents, n_agents))
@@ -191,7 +194,7 @@ def test_a_team_that_loses_no_message_is_the_full_team(absence: Absence) -> None
 
 @pytest.mark.parametrize("name", sorted(BAD))
 def test_an_explainer_that_fails_is_named(name: str) -> None:
-    result = BehaviourBlock(small_policy(6), BAD[name], TASK, 3, (1,), 0, 5).run()
+    result = BehaviourBlock(small_policy(6), BAD[name], Cell(TASK, 3), (1,), 0, 5).run()
     assert isinstance(result, InputError)
     assert repr(name) in str(result)
 
@@ -201,7 +204,7 @@ def test_a_team_with_zero_messages_does_equally_well_on_both_halves() -> None:
     with torch.no_grad():
         policy.gat.lin_l.weight.zero_()  # every message is zero
         policy.gat.lin_l.bias.zero_()
-    result = BehaviourBlock(policy, NEAREST, TASK, 3, (1, 2), 0, 20).run()
+    result = BehaviourBlock(policy, NEAREST, Cell(TASK, 3), (1, 2), 0, 20).run()
     assert isinstance(result, Played)
     for row, metric in product(result.rows, ("success", "reward")):
         # Only the rounding depends on the place in the batch.

@@ -109,7 +109,7 @@ def test_masks_that_explain_a_timestep_move_no_memory() -> None:
 
 def test_masks_that_a_team_acts_on_move_its_memory() -> None:
     policy, (seen, watch) = recurrent_policy(remembering("gru", 1)), watched()
-    played = BehaviourBlock(policy, watch, TASK, 3, (1, 2), 0, 4).run()
+    played = BehaviourBlock(policy, watch, Cell(TASK, 3), (1, 2), 0, 4).run()
     assert isinstance(played, Played)
     (episode,) = roll_out(Cell(TASK, 3).make(), policy, [1], max_cycles=4)
     kept, dropped, full = seen[1][0], seen[1][BLOCK], torch.from_numpy(episode.observations[1])

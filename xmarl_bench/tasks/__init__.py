@@ -1,0 +1,1 @@
+"""Tasks: what the harness needs of one, where they are found, and PettingZoo environments as tasks."""

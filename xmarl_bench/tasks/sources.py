@@ -1,0 +1,164 @@
+"""Finds tasks: those of xmarl_envs, those of installed packages, and those given as `module:factory`.
+
+Entry points in group `xmarl_bench.tasks`, name -> a subclass of `xmarl_envs.Task` of the same name, or a
+function that takes a team size and returns a PettingZoo ParallelEnv; the same as `module:factory` and
+`path/to/file.py:factory`. A function gives its task its own name, or that of its entry point.
+
+A task that is not of xmarl_envs is a stranger's code. `open_task` runs it, and only if it is trusted; from
+then on the process knows it by its name, as a `Cell` and the card of a policy give it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Final
+
+from xmarl_envs import TASKS, Task
+
+from xmarl_bench.errors import InputError, unknown
+from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin
+from xmarl_bench.origin.references import Origin, is_reference, load_reference, origin_of
+from xmarl_bench.tasks.interface import TeamTask
+from xmarl_bench.tasks.parallel_task import ParallelTask, foreign_code
+from xmarl_bench.tasks.parallel_trial import parallel_task
+
+GROUP: Final = "xmarl_bench.tasks"
+NAME = re.compile(r"^[a-z0-9][a-z0-9._-]{0,99}$")  # safe in file names
+KEPT = 8  # tasks of a process, each with a team size, that are tried once only
+
+_opened: dict[str, TaskSource] = {}
+
+
+@dataclass(frozen=True)
+class TaskSource:
+    """What makes a task for a team size, and where it came from.
+
+    factory: a subclass of `Task`, or a function of a team size that returns a ParallelEnv.
+    origin: None for a task of xmarl_envs.
+    """
+
+    name: str
+    factory: Callable[..., Any]
+    origin: Origin | None
+
+    def make(self, n_agents: int) -> TeamTask:
+        """The task. Raises InputError for a team size that it does not take, and as `parallel_task` does."""
+        factory = _task_class(self.factory)
+        if factory is None:
+            return _tried(self.name, self.factory, n_agents)
+        if not 1 <= n_agents <= factory.max_agents:
+            raise InputError(
+                f"{self.name} takes 1 to {factory.max_agents} agents, got {n_agents}: choose a number in "
+                f"that range."
+            )
+        if self.origin is None:
+            return factory(n_agents=n_agents)
+        with foreign_code(self.name, f"making a team of {n_agents}"):
+            return factory(n_agents=n_agents)
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """One per entry of an observation; () if unknown."""
+        return getattr(self.factory, "observation_names", ())
+
+    def environment(self, n_agents: int) -> Origin:
+        """The origin of the environment that the factory wraps; of a subclass of Task its own."""
+        task = self.make(n_agents)
+        return origin_of(task.env_class if isinstance(task, ParallelTask) else type(task))
+
+
+def _task_class(factory: object) -> type[Task] | None:
+    """The factory, if it is a subclass of `Task`."""
+    return factory if isinstance(factory, type) and issubclass(factory, Task) else None
+
+
+@lru_cache(maxsize=KEPT)
+def _tried(name: str, factory: Callable[[int], Any], n_agents: int) -> ParallelTask:
+    return parallel_task(name, factory, n_agents)
+
+
+def task_names() -> list[str]:
+    """Tasks of xmarl_envs, of installed packages, and those opened in this process. Loads nothing."""
+    return list(dict.fromkeys([*TASKS, *sorted(_plugins()), *_opened]))
+
+
+def task_plugins() -> dict[str, EntryPoint]:
+    """The tasks of installed packages by name. Loads nothing."""
+    return dict(sorted(_plugins().items()))
+
+
+def open_task(task: str | Callable[..., Any], *, trust_code: bool = False) -> TaskSource:
+    """A task by its name, by `module:factory` or `path/to/file.py:factory`, or the factory itself.
+
+    Raises InputError if there is no such task, and for code that is not trusted.
+    """
+    if not isinstance(task, str):
+        return _open(task, origin_of(task), None)
+    if task in TASKS:
+        return TaskSource(task, TASKS[task], None)
+    if not is_reference(task):
+        plugin = _plugins().get(task)
+        if plugin is None:
+            return known_task(task)
+        _check_trust(task, trust_code)
+        return _open(load_plugin(plugin), origin_of_plugin(plugin), task)
+    _check_trust(task, trust_code)
+    return _open(*load_reference(task), None)
+
+
+def known_task(name: str) -> TaskSource:
+    """A task of xmarl_envs, or one that was opened. Raises InputError for any other."""
+    if name in TASKS:
+        return TaskSource(name, TASKS[name], None)
+    if name in _opened:
+        return _opened[name]
+    if name in _plugins():
+        _check_trust(name, False)
+    raise unknown("task", name, task_names(), "or give path/to/file.py:factory or module:factory")
+
+
+def _open(factory: object, origin: Origin, name: str | None) -> TaskSource:
+    """Register a factory. name: of its entry point, if it has one. Raises InputError for anything else."""
+    own = _task_class(factory)
+    chosen = str(own.name if own else name or getattr(factory, "__name__", type(factory).__name__))
+    if not callable(factory) or (isinstance(factory, type) and own is None):
+        raise InputError(
+            f"task {chosen!r} ({origin.entry_point}) is a {type(factory).__name__}: give a subclass of "
+            f"xmarl_envs.Task, or a function of a team size that returns a PettingZoo ParallelEnv."
+        )
+    if name is not None and chosen != name:
+        raise InputError(
+            f"task plugin {name!r} ({origin.entry_point}) calls itself {chosen!r}: use one name for both."
+        )
+    if not NAME.match(chosen):
+        raise InputError(f"task name {chosen!r} cannot be part of a file name: use a-z, 0-9, . _ and -.")
+    if chosen in TASKS and own is not TASKS[chosen]:
+        raise InputError(f"task {chosen!r} ({origin.entry_point}) has the name of a shipped task: rename it.")
+    source = TaskSource(chosen, factory, origin)
+    if chosen not in TASKS:
+        _opened[chosen] = source
+        return source
+    return TaskSource(chosen, factory, None)
+
+
+def _check_trust(name: str, trust_code: bool) -> None:
+    if not trust_code:
+        raise InputError(
+            f"task {name!r} runs its own code: read it, and add --trust-code (trust_code=True) if you trust "
+            f"it."
+        )
+
+
+def _plugins() -> dict[str, EntryPoint]:
+    """Entry points by name. Raises InputError if two have the same name."""
+    plugins: dict[str, EntryPoint] = {}
+    for plugin in entry_points(group=GROUP):
+        if plugin.name in TASKS or plugin.name in plugins:
+            other = plugins[plugin.name].value if plugin.name in plugins else "a shipped task"
+            raise InputError(f"task {plugin.name!r} ({plugin.value}) has the name of {other}: rename one.")
+        plugins[plugin.name] = plugin
+    return plugins

@@ -19,7 +19,7 @@ from xmarl_bench.tasks.interface import random_actions
 from xmarl_bench.tasks.parallel_task import Parallel, ParallelTask, foreign_code
 
 TRIAL_STEPS: Final = 5
-SEED, OTHER_SEED = 2**31, 2**31 + 1  # no score plays these
+SEED, OTHER_SEED = 2**52, 2**52 + 1  # no score plays these, but as large ones
 MAX_ACTIONS = 64  # as many as a policy's record holds
 
 
@@ -58,6 +58,11 @@ def parallel_task(name: str, make_env: Callable[[int], Any], n_agents: int) -> P
 
 def _check_equal(name: str, kind: str, agents: list[str], found: list[spaces.Space[Any]]) -> None:
     for agent, space in zip(agents, found, strict=True):
+        if not isinstance(space, spaces.Space):
+            raise InputError(
+                f"task {name!r} has {kind}s of {agent} that are {type(space).__module__}."
+                f"{type(space).__name__}: give it spaces of gymnasium."
+            )
         if space != found[0]:
             raise InputError(
                 f"task {name!r} has unequal agents ({kind}s of {agents[0]} are {found[0]}, those of {agent} "

@@ -21,7 +21,7 @@ from xmarl_envs import TASKS, Task
 
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin
-from xmarl_bench.origin.references import Origin, is_reference, load_reference, origin_of
+from xmarl_bench.origin.references import Origin, check_named, is_reference, load_reference, origin_of
 from xmarl_bench.tasks.interface import TeamTask
 from xmarl_bench.tasks.parallel_task import ParallelTask, foreign_code
 from xmarl_bench.tasks.parallel_trial import parallel_task
@@ -101,6 +101,7 @@ def open_task(task: str | Callable[..., Any], *, trust_code: bool = False) -> Ta
     if task in TASKS:
         return TaskSource(task, TASKS[task], None)
     if not is_reference(task):
+        check_named(task)
         plugin = _plugins().get(task)
         if plugin is None:
             return known_task(task)

@@ -122,7 +122,7 @@ class GlobalNumbers(Line):
     """Seeds numpy's global generator, and draws from it at every step, which another episode does too."""
 
     def reset(self, seed: int | None = None, options: Any = None) -> Any:
-        np.random.seed(seed)  # noqa: NPY002
+        np.random.seed(None if seed is None else seed % 2**32)  # noqa: NPY002
         return super().reset(seed)
 
     def step(self, actions: Any) -> Any:
@@ -163,6 +163,13 @@ class Buttons(Line):
 
     def action_space(self, agent: str) -> Any:
         return spaces.MultiDiscrete([2, 3])
+
+
+class OldSpaces(Line):
+    """Spaces are not of gymnasium."""
+
+    def action_space(self, agent: str) -> Any:
+        return {"low": 0, "high": 1}
 
 
 class Endless(Line):
@@ -223,6 +230,7 @@ BAD: dict[str, tuple[Callable[[int], Any], str]] = {
     "pictures": (Pictures, "policies take vectors"),
     "unbounded": (Unbounded, "unbounded actions"),
     "buttons": (Buttons, "policies choose a Discrete"),
+    "old spaces": (OldSpaces, "actions of agent_0 that are builtins.dict: give it spaces of gymnasium"),
     "endless": (Endless, "does not say how many steps"),
     "nan": (Nan, "agent_0 an observation with NaN or infinity"),
     "crashes": (Crashes, r"failed in step \(KeyError: 'agent_7'\)"),

@@ -128,7 +128,7 @@ def test_worse_is_said_where_the_interval_excludes_0() -> None:
 def known_states(policy_folder: Path) -> set[str]:
     """Of the first states of the public episodes, as the explainer sees them."""
     policy, _ = load_policy(policy_folder)
-    episodes = Rollout(policy, TASK, TEAM, tuple(episode_seeds(0, EPISODES)), CYCLES).play()
+    episodes = Rollout(policy, Cell(TASK, TEAM), tuple(episode_seeds(0, EPISODES)), CYCLES).play()
     return {hashlib.sha256(each.observations[0].tobytes()).hexdigest() for each in episodes}
 
 

@@ -52,15 +52,6 @@ def _is_none(value: object) -> bool:
 R = TypeVar("R", bound=Record)
 
 
-def left_out() -> Any:
-    """The default of a field that is None in older entries: left out of the text then, so ids stay."""
-    return Field(default=None, exclude_if=_is_none)
-
-
-def _is_none(value: object) -> bool:
-    return value is None
-
-
 class PolicyRecord(Record):
     name: Name
     task: Name

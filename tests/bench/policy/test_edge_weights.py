@@ -98,7 +98,7 @@ X, EDGES, ONES = torch.zeros(2, 6), complete_graph(2), torch.ones(4)
     ("given", "said"),
     [
         ({"edge_weight": ONES, "edge_attr": ONES}, "both edge_weight and edge_attr"),
-        ({"edge_weight": torch.zeros(2, dtype=torch.long)}, "of torch.int64: give floating-point"),
+        ({"edge_weight": torch.zeros(2, dtype=torch.long)}, "dtype torch.int64: give floating-point"),
         ({"edge_weight": torch.ones(3)}, r"shape \(3,\) on 4 edges: give one number for each"),
         ({"edge_attr": torch.ones(4, 2)}, r"edge_attr has shape \(4, 2\) on 4 edges"),
         ({"batch": torch.zeros(3, dtype=torch.long)}, r"shape \(3,\) of torch.int64 for 2 agents"),

@@ -17,7 +17,7 @@ from benchmarl.models import MlpConfig
 from torch import Tensor
 
 from tests.helpers import benchmarl_training
-from tests.helpers.benchmarl_training import gnn, mlp, sequence, settings
+from tests.helpers.benchmarl_training import gnn, mlp, navigation, sequence, settings
 
 __all__ = ["experiment", "mlp", "settings", "train_until"]
 WIDTH, DECODER, GOAL_RADIUS = 32, [256, 256], 0.1  # layer, MLP after it, m in VMAS
@@ -32,7 +32,8 @@ def experiment(
     task: settings of the scenario that differ from BenchMARL's.
     """
     actor = sequence([gnn(self_loops=True), mlp(DECODER)], WIDTH)
-    return benchmarl_training.experiment(config, actor, critic, callback=callback, **task)
+    on = navigation(**task)
+    return benchmarl_training.experiment(config, actor, critic, callback=callback, task=on)
 
 
 def rates(rollouts: list[Any]) -> tuple[float, float]:

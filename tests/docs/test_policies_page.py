@@ -22,7 +22,7 @@ from tests.helpers.policies import random_observations
 from xmarl_bench import CompleteGraph, PolicyModule, load_policy, score
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.plugins.registry import open_policy
-from xmarl_bench.policy.architecture import MAX_LAYER_WIDTH, Memory
+from xmarl_bench.policy.architecture import MAX_LAYER_WIDTH, EdgeFeatures, Memory
 from xmarl_bench.policy.build import weights_of
 from xmarl_bench.policy.shapes import MAX_PARAMETERS
 from xmarl_bench.submission.consistency import entry_findings
@@ -88,6 +88,11 @@ def test_the_recurrent_network_of_the_page_is_accepted(tmp_path: Path) -> None:
 def test_the_memory_of_the_page_is_a_record() -> None:
     (text,) = re.findall(r'`"memory": ({.*})`', PAGE)
     assert Memory.model_validate_json(text).after == 0
+
+
+def test_the_edge_features_of_the_page_are_a_record() -> None:
+    (text,) = re.findall(r'`({"position": .*})`', PAGE)
+    assert EdgeFeatures.model_validate_json(text).width == 5
 
 
 def test_the_key_map_of_the_page_is_valid() -> None:

@@ -5,17 +5,21 @@ Needs BenchMARL, whose import takes some seconds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarl.algorithms import MappoConfig
 from benchmarl.algorithms.common import AlgorithmConfig
 from benchmarl.environments import VmasTask
+from benchmarl.environments.vmas.common import VmasClass
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models import GnnConfig, MlpConfig, SequenceModelConfig
 from benchmarl.models.common import ModelConfig
-from torch import nn
+from torch import Tensor, nn
 from torch_geometric.nn import GATv2Conv
+from torchrl.envs.libs.vmas import VmasEnv
+from vmas.scenarios.navigation import Scenario
+from vmas.simulator.core import Agent
 
 
 def settings(folder: Path, **changes: object) -> ExperimentConfig:
@@ -35,16 +39,11 @@ def experiment(
     *,
     algorithm: AlgorithmConfig | None = None,
     callback: Callback | None = None,
-    **task: object,
+    task: VmasClass | None = None,
 ) -> Experiment:
-    """A training of three agents, ready to run; with MAPPO by default.
-
-    task: settings of the scenario that differ from BenchMARL's.
-    """
-    navigation = VmasTask.NAVIGATION.get_from_yaml()
-    navigation.config |= {"n_agents": 3, **task}
+    """A training, ready to run; with MAPPO and on VMAS navigation by default."""
     return Experiment(
-        task=navigation,
+        task=navigation() if task is None else task,
         algorithm_config=algorithm or MappoConfig.get_from_yaml(),
         model_config=actor,
         critic_model_config=critic,
@@ -52,6 +51,43 @@ def experiment(
         config=config,
         callbacks=[] if callback is None else [callback],
     )
+
+
+def navigation(**changes: object) -> VmasClass:
+    """VMAS navigation with three agents. changes: settings that differ from BenchMARL's."""
+    task = VmasTask.NAVIGATION.get_from_yaml()
+    task.config |= {"n_agents": 3, **changes}
+    return task
+
+
+class NamedObservations(Scenario):  # type: ignore[misc]
+    """VMAS navigation whose observations are a dict of `pos`, `vel` and `goal`, without lidar."""
+
+    def observation(self, agent: Agent) -> dict[str, Tensor]:
+        pos, vel, goal = super().observation(agent).split(2, dim=-1)
+        return {"pos": pos, "vel": vel, "goal": goal}
+
+
+class NamedNavigation(VmasClass):  # type: ignore[misc]
+    """BenchMARL's task of that scenario."""
+
+    def get_env_fun(
+        self, num_envs: int, continuous_actions: bool, seed: int | None, device: str
+    ) -> Callable[[], VmasEnv]:
+        return lambda: VmasEnv(
+            scenario=NamedObservations(),
+            num_envs=num_envs,
+            continuous_actions=continuous_actions,
+            seed=seed,
+            device=device,
+            clamp_actions=True,
+            **self.config,
+        )
+
+
+def named_navigation(**changes: object) -> VmasClass:
+    """As `navigation`, with observations by name."""
+    return NamedNavigation("NAVIGATION", navigation(**changes).config)
 
 
 def gnn(*, self_loops: bool, **arguments: object) -> GnnConfig:

@@ -49,11 +49,10 @@ def convert(
         typer.Option(help="Activation function of its MLPs, e.g. tanh.", rich_help_panel=BENCHMARL),
     ] = None,
     loops: Annotated[
-        bool | None,
+        Literal["layer", "graph", "none"] | None,
         typer.Option(
-            "--loops/--no-loops",
-            help="Whether agents hear themselves: by self_loops, or by add_self_loops in gnn_kwargs, which "
-            "is True by default.",
+            help="What lets agents hear themselves: the layer's add_self_loops (True by default), only "
+            "BenchMARL's self_loops (graph), or nothing.",
             rich_help_panel=BENCHMARL,
         ),
     ] = None,
@@ -72,6 +71,26 @@ def convert(
     group: Annotated[
         str | None, typer.Option(help="Group of agents, if it has several.", rich_help_panel=BENCHMARL)
     ] = None,
+    inputs: Annotated[
+        str | None,
+        typer.Option(
+            help="The entry of our observation that each input of the actor is, such as 4,5,0,1,2,3: keys of "
+            "BenchMARL's observation in sequence, then position_key and velocity_key. By default as ours.",
+            rich_help_panel=BENCHMARL,
+        ),
+    ] = None,
+    position: Annotated[
+        str,
+        typer.Option(
+            help="Entries of our observation for position_key, such as 0,1.", rich_help_panel=BENCHMARL
+        ),
+    ] = "",
+    velocity: Annotated[
+        str,
+        typer.Option(
+            help="Entries of our observation for velocity_key, such as 2,3.", rich_help_panel=BENCHMARL
+        ),
+    ] = "",
     trust_code: TrustCode = False,
 ) -> None:
     """Convert weights saved by other tools to a policy bundle. Executes nothing in the file."""
@@ -90,10 +109,20 @@ def convert(
 
     if out is not None and out.exists():
         raise InputError(f"{out} already exists: choose another folder with --out, or remove it.")
-    settings = Settings(activation, loops, scale_mapping, tanh_normal, group)
+    settings = Settings(
+        activation,
+        loops,
+        scale_mapping,
+        tanh_normal,
+        group,
+        None if inputs is None else _entries(inputs),
+        _entries(position),
+        _entries(velocity),
+    )
     if source is None and settings != Settings():
         raise InputError(
-            "--activation, --loops, --scale-mapping, --use-tanh-normal and --group need --from benchmarl."
+            "--activation, --loops, --scale-mapping, --use-tanh-normal, --group, --inputs, --position and "
+            "--velocity are for --from benchmarl: give it, or leave them out."
         )
     if source is not None and not (architecture is None and key_map is None):
         raise InputError(
@@ -109,9 +138,10 @@ def convert(
         return
     if task is None:
         raise InputError("a bundle needs the task that its policy was trained for: give --task.")
-    task = open_task(task, trust_code=trust_code).name
+    opened = open_task(task, trust_code=trust_code)
+    task = opened.name
     if source is not None:
-        record, ours = read_actor(tensors, settings)
+        record, ours = read_actor(tensors, settings, opened.make(agents).obs_dim)
     else:
         record, ours = reading.renamed_weights(weights, tensors, record, key_map)
     policy = build_policy(record, reading.dense(ours, weight_shapes(record)))
@@ -132,3 +162,13 @@ def convert(
     write_bundle(out, card, data)
     left_out = f", {len(tensors) - len(ours)} dropped" if source is None else f" from {source}'s actor"
     print(f"{out}: policy {card.name!r} of {len(ours)} tensors{left_out}.")
+
+
+def _entries(text: str) -> tuple[int, ...]:
+    from xmarl_bench.errors import InputError
+    from xmarl_bench.records.strict_json import shown
+
+    parts = text.split(",") if text else []
+    if not all(part.strip().isdecimal() and len(part) < 6 for part in parts):
+        raise InputError(f"{shown(text)} is not a list of entries: give numbers with commas, such as 0,1.")
+    return tuple(int(part) for part in parts)

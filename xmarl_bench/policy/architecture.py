@@ -14,6 +14,7 @@ from xmarl_bench.policy.graph import CompleteGraph, Graph
 
 Width = Annotated[int, Field(ge=1, le=2048)]
 Widths = Annotated[tuple[Width, ...], Field(max_length=8)]
+Entries = Annotated[tuple[Annotated[int, Field(ge=0, lt=4096)], ...], Field(max_length=8)]
 Activation = Literal["tanh", "relu", "elu", "leaky_relu", "silu", "identity"]
 Convolution = Literal["GATConv", "GATv2Conv", "TransformerConv"]
 DistributionKind = Literal["tanh_normal", "normal", "deterministic", "categorical"]
@@ -101,6 +102,28 @@ class Architecture(_Network):
         return self
 
 
+class EdgeFeatures(_Record):
+    """What a layer gets with an edge j -> i, as in BenchMARL's GNN: the position of j minus that of i, their
+    distance, the velocity of j minus that of i. Those without entries are left out.
+    """
+
+    position: Entries = ()  # the entries of an observation that hold it
+    velocity: Entries = ()
+    # Of an edge i -> i. zero: as of any edge. mean: the mean over the receiver's edges from others, as of
+    # loops that torch_geometric's layers add themselves.
+    own: Literal["zero", "mean"] = "zero"
+
+    @property
+    def width(self) -> int:
+        return len(self.position) + bool(self.position) + len(self.velocity)
+
+    @model_validator(mode="after")
+    def _present(self) -> EdgeFeatures:
+        if self.width == 0:
+            raise ValueError("edge features need entries of the position or the velocity")
+        return self
+
+
 class GraphLayer(_Record):
     """One attention layer of torch_geometric and the activation after it."""
 
@@ -111,6 +134,8 @@ class GraphLayer(_Record):
     # Adds the layer's input through a linear map: `residual` of GATConv and GATv2Conv, `root_weight` of
     # TransformerConv. It is not a message, so masks do not scale it.
     residual: bool = False
+    # They change attention coefficients; of TransformerConv, messages too.
+    edges: Annotated[EdgeFeatures | None, Field(exclude_if=lambda edges: edges is None)] = None
     activation: Activation
 
     @property
@@ -149,7 +174,7 @@ class LayeredArchitecture(_Network):
         layer, distribution = self.layers[0], self.distribution
         fits = (
             len(self.layers) == 1
-            and (layer.conv, layer.heads) == ("GATv2Conv", 1)
+            and (layer.conv, layer.heads, layer.edges) == ("GATv2Conv", 1, None)
             and self.scale == "softplus"
             and self.graph == CompleteGraph()
         )
@@ -172,6 +197,12 @@ class LayeredArchitecture(_Network):
     @model_validator(mode="after")
     def _placed(self) -> LayeredArchitecture:
         self._check_place(len(self.layers))
+        for edges in (layer.edges for layer in self.layers):
+            last = -1 if edges is None else max(*edges.position, *edges.velocity, -1)
+            if last >= self.obs_dim:
+                raise ValueError(
+                    f"edge features need entry {last} of an observation of {self.obs_dim} entries"
+                )
         return self
 
 

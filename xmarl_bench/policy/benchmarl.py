@@ -10,14 +10,21 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from typing import NamedTuple, get_args
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple, get_args
 
 import torch
+from pydantic import ValidationError
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.architecture import Activation, DistributionKind, LayeredArchitecture, ScaleKind
+from xmarl_bench.policy.architecture import (
+    Activation,
+    DistributionKind,
+    EdgeFeatures,
+    LayeredArchitecture,
+    ScaleKind,
+)
 from xmarl_bench.policy.convert import dense, rename
 from xmarl_bench.policy.distribution import SCALE_BIAS, TORCHRL_BIAS, TORCHRL_FLOOR
 from xmarl_bench.policy.sequence import AS_CODE, Activated, Conv, Linear, Step, as_record, joined
@@ -36,18 +43,23 @@ class Settings(NamedTuple):
     """What names and shapes of tensors do not tell."""
 
     activation: str | None = None  # an `Activation`: `activation_class` of every MLP
-    loops: bool | None = None  # agents hear themselves, by `self_loops` or by the layer's `add_self_loops`
+    # What lets agents hear themselves. layer: its `add_self_loops`, True by default. graph: `self_loops`.
+    loops: Literal["layer", "graph", "none"] | None = None
     scale_mapping: str | None = None  # None: BenchMARL's default
     use_tanh_normal: bool | None = None  # None: True, BenchMARL's default
     group: str | None = None  # of agents; needed if the checkpoint has several
+    inputs: Sequence[int] | None = None  # entry of an observation that each input of the actor is
+    position: Sequence[int] = ()  # entries that `position_key` held
+    velocity: Sequence[int] = ()  # entries that `velocity_key` held
 
 
 def read_actor(
-    tensors: Mapping[str, Tensor], settings: Settings
+    tensors: Mapping[str, Tensor], settings: Settings, obs_dim: int
 ) -> tuple[LayeredArchitecture, dict[str, Tensor]]:
     """(architecture, weights with the names of `weight_shapes`) of the actor among a checkpoint's tensors.
 
-    Raises InputError if there is none, if a bundle cannot express it, or if a setting is missing.
+    obs_dim: entries of an observation in the task. Raises InputError if there is no actor, if a bundle cannot
+    express it, or if a setting is missing.
     """
     group = _group(tensors, settings.group)
     actor = rename(tensors, {"": None, f"loss_{group}.actor_network_params.": ""})
@@ -56,7 +68,15 @@ def read_actor(
             raise InputError(f"tensor {shown(name)} has more than {MAX_SIDE} rows or columns: {AS_CODE}.")
     actor = dense(actor, {name: tuple(tensor.shape) for name, tensor in actor.items()})
     scaled, models = _models(actor)
-    steps = joined([step for model in models for step in _steps(model)])
+    if settings.loops is None:
+        raise InputError(
+            "the checkpoint does not tell whether agents hear themselves: give --loops layer, the default of "
+            "GATv2Conv and GATConv, or, if gnn_kwargs had add_self_loops=False, --loops graph for "
+            "self_loops=True and --loops none for self_loops=False."
+        )
+    steps = joined(
+        [*_selection(settings, obs_dim), *(s for model in models for s in _steps(model, settings))]
+    )
     if settings.activation is None and any(isinstance(step, Activated) for step in steps):
         raise InputError(
             "the checkpoint does not tell the activation function of its MLPs: give --activation, e.g. tanh."
@@ -65,11 +85,6 @@ def read_actor(
     if activation not in get_args(Activation):
         raise InputError(
             f"no activation function {shown(activation)}: choose from {', '.join(get_args(Activation))}."
-        )
-    if settings.loops is None:
-        raise InputError(
-            "the checkpoint does not tell whether agents hear themselves: give --loops, or --no-loops if it "
-            "was trained with self_loops=False and, in gnn_kwargs, add_self_loops=False (True by default)."
         )
     scale: ScaleKind = "softplus"
     distribution: DistributionKind = "categorical"
@@ -83,7 +98,7 @@ def read_actor(
         activation,
         distribution,
         scale=scale,
-        graph={"kind": "complete", "loops": settings.loops},
+        graph={"kind": "complete", "loops": settings.loops != "none"},
     )
 
 
@@ -120,9 +135,23 @@ def _models(actor: Mapping[str, Tensor]) -> tuple[bool, list[dict[str, Tensor]]]
     return scaled, [models[k] for k in sorted(models)]
 
 
-def _steps(model: Mapping[str, Tensor]) -> list[Step]:
+def _selection(settings: Settings, obs_dim: int) -> list[Linear]:
+    """The map from an observation to the actor's inputs, unless they are the same."""
+    if settings.inputs is None:
+        return []
+    last = max(settings.inputs, default=-1)
+    if not 0 <= last < obs_dim or min(settings.inputs) < 0:
+        raise InputError(
+            f"--inputs has entries {shown(settings.inputs)} of an observation of {obs_dim} entries: give "
+            f"numbers from 0 to {obs_dim - 1}."
+        )
+    matrix = torch.nn.functional.one_hot(torch.tensor(settings.inputs), obs_dim).float()
+    return [Linear(matrix, torch.zeros(len(matrix)))]
+
+
+def _steps(model: Mapping[str, Tensor], settings: Settings) -> list[Step]:
     if "0.weight" not in model:
-        return [_conv(model)]
+        return [_conv(model, settings)]
     steps: list[Step] = []
     for k in range(0, 2 * len(model), 2):
         weight = model.get(f"{k}.weight")
@@ -140,10 +169,9 @@ def _steps(model: Mapping[str, Tensor]) -> list[Step]:
     return steps[1:]
 
 
-def _conv(tensors: Mapping[str, Tensor]) -> Conv:
-    names = tensors.keys() - {"bias", "lin_l.bias", "lin_r.bias", "res.weight"}
-    if "lin_edge.weight" in names:
-        raise InputError(f"the actor's GNN has edge features (position_key, velocity_key): {AS_CODE}.")
+def _conv(tensors: Mapping[str, Tensor], settings: Settings) -> Conv:
+    optional = {"bias", "lin_l.bias", "lin_r.bias", "res.weight", "lin_edge.weight", "att_edge"}
+    names = tensors.keys() - optional
     if names not in ({"att", "lin_l.weight", "lin_r.weight"}, {"att_src", "att_dst", "lin.weight"}):
         raise InputError(
             f"the actor's GNN has tensors {shown(', '.join(sorted(names)))}, not those of GATv2Conv or "
@@ -154,13 +182,38 @@ def _conv(tensors: Mapping[str, Tensor]) -> Conv:
             raise InputError(
                 f"tensor {shown(name)} of the GNN has shape {tuple(tensor.shape)}: save it again."
             )
-    layer = Conv(tensors)
+    layer = Conv(tensors, _edges(tensors, settings))
     heads, width = layer.heads_and_width
     # BenchMARL's layers give as many numbers as a head is wide.
     biases = {"bias": width} | (
         {"lin_l.bias": heads * width, "lin_r.bias": heads * width} if layer.is_v2 else {}
     )
-    return Conv({name: torch.zeros(size) for name, size in biases.items()} | dict(tensors))
+    return layer._replace(tensors={n: torch.zeros(size) for n, size in biases.items()} | dict(tensors))
+
+
+def _edges(tensors: Mapping[str, Tensor], settings: Settings) -> EdgeFeatures | None:
+    if "lin_edge.weight" not in tensors:
+        return None
+    if settings.inputs is None or not (settings.position or settings.velocity):
+        raise InputError(
+            "the actor's GNN has edge features, and the checkpoint does not tell of what: give --position "
+            "and --velocity, the entries of position_key and velocity_key in our observation, and --inputs."
+        )
+    try:
+        edges = EdgeFeatures(
+            position=tuple(settings.position),
+            velocity=tuple(settings.velocity),
+            own="mean" if settings.loops == "layer" else "zero",
+        )
+    except ValidationError:
+        raise InputError("--position or --velocity has invalid entries: give numbers from 0.") from None
+    width = tensors["lin_edge.weight"].shape[-1]
+    if edges.width != width:
+        raise InputError(
+            f"the actor's GNN gets {width} numbers with an edge, and --position and --velocity give "
+            f"{edges.width}: offset and distance for a position, the difference for a velocity."
+        )
+    return edges
 
 
 def _mapped(last: Step, mapping: str) -> tuple[ScaleKind, Linear]:

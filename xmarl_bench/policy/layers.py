@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torch_geometric.nn import GATConv, GATv2Conv, MessagePassing, TransformerConv
 
 from xmarl_bench.policy.architecture import GraphLayer, LayeredArchitecture, raw_width
+from xmarl_bench.policy.edge_features import edge_features
 from xmarl_bench.policy.memory import recurrent_cell, remember
 from xmarl_bench.policy.network import ACTIVATIONS, mlp
 
@@ -46,7 +47,9 @@ class LayeredNetwork(nn.Module):
         record = self.architecture.memory
         hidden, state = remember(record, self.memory, 0, self.encoder(x), state)
         for k, (layer, activation) in enumerate(zip(self.layers, self.activations, strict=True), start=1):
-            heard = activation(layer(hidden, edge_index))
+            edges = self.architecture.layers[k - 1].edges
+            features = None if edges is None else edge_features(edges, x, edge_index)
+            heard = activation(layer(hidden, edge_index, features))
             hidden, state = remember(record, self.memory, k, heard, state)
         return self.decoder(hidden), state
 
@@ -57,9 +60,15 @@ class LayeredNetwork(nn.Module):
 
 def _layer(n_in: int, layer: GraphLayer) -> MessagePassing:
     """Loops are explicit edges of the graph, so no layer adds its own."""
+    edge_dim = None if layer.edges is None else layer.edges.width
     if layer.conv == "TransformerConv":
         return TransformerConv(
-            n_in, layer.width, heads=layer.heads, concat=layer.concat, root_weight=layer.residual
+            n_in,
+            layer.width,
+            heads=layer.heads,
+            concat=layer.concat,
+            root_weight=layer.residual,
+            edge_dim=edge_dim,
         )
     convolution = GATConv if layer.conv == "GATConv" else GATv2Conv
     return convolution(
@@ -69,4 +78,5 @@ def _layer(n_in: int, layer: GraphLayer) -> MessagePassing:
         concat=layer.concat,
         residual=layer.residual,
         add_self_loops=False,
+        edge_dim=edge_dim,
     )

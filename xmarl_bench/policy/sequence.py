@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.architecture import DistributionKind, LayeredArchitecture, raw_width
+from xmarl_bench.policy.architecture import DistributionKind, EdgeFeatures, LayeredArchitecture, raw_width
 from xmarl_bench.records.strict_json import first_error, shown
 
 AS_CODE = "bring this policy as code"
@@ -32,6 +32,7 @@ class Conv(NamedTuple):
     """A GATv2Conv or GATConv of one head, or with the mean of its heads, by its tensors."""
 
     tensors: Mapping[str, Tensor]
+    edges: EdgeFeatures | None
 
     @property
     def n_in(self) -> int:
@@ -126,6 +127,7 @@ def _layer(layer: Conv) -> dict[str, Any]:
         "heads": heads,
         "concat": heads == 1,
         "residual": "res.weight" in layer.tensors,
+        "edges": layer.edges,
         "activation": "identity",
     }
 
@@ -149,4 +151,4 @@ def _conv_after(first: Linear, layer: Conv) -> Conv:
     ):
         if weight in tensors:
             tensors[weight], tensors[bias] = _after(first, Linear(tensors[weight], tensors[bias]))
-    return Conv(tensors)
+    return Conv(tensors, layer.edges)

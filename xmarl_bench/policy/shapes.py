@@ -70,12 +70,19 @@ def _layer(name: str, n_in: int, layer: GraphLayer) -> Shapes:
         shapes = _linear(f"{name}.lin_skip", n_in, layer.out_width)
         for part in ("lin_key", "lin_query", "lin_value"):
             shapes |= _linear(f"{name}.{part}", n_in, every_head)
-        return shapes
-    shapes = {f"{name}.bias": (layer.out_width,)}
+        return shapes | _edges(name, layer)
+    shapes = {f"{name}.bias": (layer.out_width,), **_edges(name, layer)}
     if layer.residual:
         shapes |= _linear(f"{name}.res", n_in, layer.out_width, bias=False)
     if layer.conv == "GATConv":
-        shapes |= {f"{name}.att_src": coefficients, f"{name}.att_dst": coefficients}
+        parts = ("src", "dst") if layer.edges is None else ("src", "dst", "edge")
+        shapes |= {f"{name}.att_{part}": coefficients for part in parts}
         return shapes | _linear(f"{name}.lin", n_in, every_head, bias=False)
     shapes[f"{name}.att"] = coefficients
     return shapes | _linear(f"{name}.lin_l", n_in, every_head) | _linear(f"{name}.lin_r", n_in, every_head)
+
+
+def _edges(name: str, layer: GraphLayer) -> Shapes:
+    if layer.edges is None:
+        return {}
+    return _linear(f"{name}.lin_edge", layer.edges.width, layer.width * layer.heads, bias=False)

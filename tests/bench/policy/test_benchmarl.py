@@ -22,7 +22,7 @@ ACTOR = "loss_agents.actor_network_params.module.0.module.0."
 GNN = f"{ACTOR}models.module.0.gnns.0."
 MLP = f"{ACTOR}models.module.1.mlp.params."
 TASK = ("--task", "blind_navigation_v0")
-TANH = Settings(activation="tanh", loops=True)
+TANH = Settings(activation="tanh", loops="layer")
 
 
 class Trained(NamedTuple):
@@ -30,19 +30,27 @@ class Trained(NamedTuple):
 
     checkpoint: Path
     actor: Any
+    by_name: bool  # its observations are a dict
 
     def act(self, x: Tensor) -> dict[str, Tensor]:
         """(S, N, D) -> BenchMARL's deterministic action and its distribution's parameters."""
         from tensordict import TensorDict
         from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-        given = TensorDict({"agents": {"observation": x}}, batch_size=x.shape[:1])
+        named = {"pos": x[..., :2], "vel": x[..., 2:4], "goal": x[..., 4:]}
+        seen = {"observation": named if self.by_name else x}
+        given = TensorDict({"agents": TensorDict(seen, x.shape[:2])}, x.shape[:1])
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             return dict(self.actor(given)["agents"].items())
 
 
-def trained(folder: Path, actor: Any, algorithm: Any = None, **changes: Any) -> Trained:
-    """60 frames on VMAS navigation without lidar, and an update with a large step."""
+def trained(
+    folder: Path, actor: Any, algorithm: Any = None, *, by_name: bool = False, **changes: Any
+) -> Trained:
+    """60 frames on VMAS navigation without lidar, and an update with a large step.
+
+    by_name: observations are a dict of `pos`, `vel` and `goal`.
+    """
     from tests.helpers import benchmarl_training as benchmarl
 
     few = {"collected_frames_per_batch": 60, "n_envs_per_worker": 2}
@@ -62,14 +70,15 @@ def trained(folder: Path, actor: Any, algorithm: Any = None, **changes: Any) -> 
         **changes,
     )
     critic = benchmarl.mlp([8])
-    run = benchmarl.experiment(config, actor, critic, algorithm=algorithm, collisions=False)
+    task = benchmarl.named_navigation if by_name else benchmarl.navigation
+    run = benchmarl.experiment(config, actor, critic, algorithm=algorithm, task=task(collisions=False))
     run.run()
     (checkpoint,) = folder.rglob("checkpoint_60.pt")
-    return Trained(checkpoint, run.group_policies["agents"])
+    return Trained(checkpoint, run.group_policies["agents"], by_name)
 
 
 def read(checkpoint: Path, settings: Settings) -> tuple[LayeredArchitecture, Policy]:
-    record, weights = read_actor(read_tensors(checkpoint), settings)
+    record, weights = read_actor(read_tensors(checkpoint), settings, 6)
     return record, build_policy(record, dense(weights, weight_shapes(record)))
 
 
@@ -87,21 +96,21 @@ def assert_equal_actors(policy: Policy, theirs: Trained) -> None:
 
 @pytest.mark.slow
 @pytest.mark.training
-@pytest.mark.parametrize("loops", ["--loops", "--no-loops"])
+@pytest.mark.parametrize("loops", ["layer", "none"])
 def test_the_command_converts_a_checkpoint(loops: str, tmp_path: Path, run_cli: RunCli) -> None:
     """GATv2Conv adds self loops to a graph that has none, unless it is told not to."""
     benchmarl = helper()
-    alone = {} if loops == "--loops" else {"add_self_loops": False}
+    alone = {} if loops == "layer" else {"add_self_loops": False}
     actor = benchmarl.sequence([benchmarl.gnn(self_loops=False, **alone), benchmarl.mlp([16])], 8)
     theirs = trained(tmp_path / "run", actor)
     ran = run_cli(
         "convert", theirs.checkpoint, "--from", "benchmarl", "--out", tmp_path / "mine", *TASK,
-        "--activation", "tanh", loops,
+        "--activation", "tanh", "--loops", loops,
     )  # fmt: skip
     assert ran.code == 0, ran.err
     policy, card = load_policy(tmp_path / "mine")
     assert_equal_actors(policy, theirs)
-    assert card.architecture.graph.loops is (loops == "--loops")
+    assert card.architecture.graph.loops is (loops == "layer")
     assert card.training == {"converted_from": "checkpoint_60.pt", "library": "benchmarl"}
 
 
@@ -110,7 +119,7 @@ def test_the_command_converts_a_checkpoint(loops: str, tmp_path: Path, run_cli: 
 def test_a_gnn_alone(tmp_path: Path) -> None:
     actor = helper().gnn(self_loops=True, heads=2, concat=False, residual=True)
     theirs = trained(tmp_path / "run", actor)
-    record, policy = read(theirs.checkpoint, Settings(loops=True))
+    record, policy = read(theirs.checkpoint, Settings(loops="layer"))
     assert (record.layers[0].heads, record.layers[0].residual, record.decoder) == (2, True, ())
     assert_equal_actors(policy, theirs)
 
@@ -127,9 +136,29 @@ def test_mlps_around_two_gnns_and_another_distribution(tmp_path: Path) -> None:
     algorithm = benchmarl.MappoConfig.get_from_yaml()
     algorithm.use_tanh_normal, algorithm.scale_mapping = False, "biased_softplus_0.5"
     theirs = trained(tmp_path / "run", benchmarl.sequence([before, *layers, after], 5, 8, 6), algorithm)
-    record, policy = read(theirs.checkpoint, Settings("relu", False, "biased_softplus_0.5", False))
+    record, policy = read(theirs.checkpoint, Settings("relu", "none", "biased_softplus_0.5", False))
     assert (record.encoder, [layer.width for layer in record.layers]) == ((12,), [8, 6])
     assert (record.decoder, record.distribution) == ((9, 7), "normal")
+    assert_equal_actors(policy, theirs)
+
+
+@pytest.mark.slow
+@pytest.mark.training
+@pytest.mark.parametrize("loops", ["layer", "graph", "none"])
+def test_edge_features_of_positions_and_velocities(loops: Any, tmp_path: Path) -> None:
+    """BenchMARL gets observations by name, and its GNN puts position and velocity behind the others."""
+    benchmarl = helper()
+    keys = {"position_key": "pos", "pos_features": 2, "velocity_key": "vel", "vel_features": 2}
+    layer = benchmarl.gnn(self_loops=loops == "graph", add_self_loops=loops == "layer", residual=True)
+    for name, value in {**keys, "exclude_pos_from_node_features": loops == "none"}.items():
+        setattr(layer, name, value)
+    theirs = trained(tmp_path / "run", benchmarl.sequence([layer, benchmarl.mlp([16])], 8), by_name=True)
+    inputs = (4, 5, 2, 3) if loops == "none" else (4, 5, 0, 1, 2, 3)
+    settings = Settings("tanh", loops, inputs=inputs, position=(0, 1), velocity=(2, 3))
+    record, policy = read(theirs.checkpoint, settings)
+    assert record.layers[0].edges is not None
+    assert record.layers[0].edges.own == ("mean" if loops == "layer" else "zero")
+    assert record.obs_dim == 6
     assert_equal_actors(policy, theirs)
 
 
@@ -196,7 +225,7 @@ def checkpoint(**changes: tuple[int, ...] | None) -> dict[str, Tensor]:
 
 
 def test_the_record_of_a_checkpoint() -> None:
-    record, weights = read_actor(checkpoint(), TANH)
+    record, weights = read_actor(checkpoint(), TANH, 6)
     assert (record.obs_dim, record.action_dim, record.decoder, record.scale) == (6, 2, (16,), "torchrl")
     assert {name: tuple(tensor.shape) for name, tensor in weights.items()} == weight_shapes(record)
 
@@ -205,7 +234,7 @@ def test_scale_mappings_by_hand() -> None:
     """Each maps a raw scale of 0 to the number in its name, softplus to log(2)."""
     silent = {name: torch.zeros_like(tensor) for name, tensor in checkpoint().items()}
     for mapping, scale in (("softplus", 0.693147), ("biased_softplus", 1.0), ("biased_softplus_0.3", 0.3)):
-        record, weights = read_actor(silent, TANH._replace(scale_mapping=mapping))
+        record, weights = read_actor(silent, TANH._replace(scale_mapping=mapping), 6)
         found = build_policy(record, weights).distribution(torch.zeros(1, 3, 6))
         torch.testing.assert_close(found.scale, torch.full((1, 3, 2), scale), rtol=0, atol=1e-6)
         assert not found.loc.any()
@@ -216,16 +245,20 @@ SECOND_GNN = {
     for name, tensor in checkpoint().items()
     if name.startswith(GNN)
 }
+PLACED = TANH._replace(inputs=tuple(range(6)), position=(0, 1))
 EDGES = {f"{GNN}lin_edge.weight": (8, 3)}
 REFUSED: dict[str, tuple[Mapping[str, tuple[int, ...] | None], Settings, str]] = {
-    "activation": ({}, Settings(loops=True), "give --activation"),
-    "unknown activation": ({}, Settings("gelu", True), "no activation function 'gelu': choose from tanh, "),
-    "loops": ({}, Settings("tanh"), r"give --loops, or --no-loops if it was trained with self_loops=False"),
+    "activation": ({}, Settings(loops="layer"), "give --activation"),
+    "unknown activation": ({}, Settings("gelu", "layer"), "no activation function 'gelu': choose"),
+    "loops": ({}, Settings("tanh"), "give --loops layer, "),
     "scale": ({}, TANH._replace(scale_mapping="exp"), "no scale mapping 'exp'"),
     "scale of 0": ({}, TANH._replace(scale_mapping="biased_softplus_0.01"), "no scale mapping"),
     "group": ({}, TANH._replace(group="foxes"), "no group 'foxes': give --group, one of 'agents'"),
     "groups": ({"loss_foxes.actor_network_params.module.0.x": (2,)}, TANH, "one of 'agents, foxes'"),
-    "edge features": (EDGES, TANH, "has edge features"),
+    "edge features": (EDGES, TANH, "give --position and --velocity"),
+    "their width": (EDGES, PLACED._replace(velocity=(2, 3)), "gets 3 numbers .* give 5"),
+    "their entries": (EDGES, PLACED._replace(position=(0, 6)), "need entry 6 of an observation of 6"),
+    "inputs": ({}, TANH._replace(inputs=(0, 6)), r"--inputs has entries .* from 0 to 5"),
     "other layer": ({f"{GNN}lin_rel.weight": (8, 6)}, TANH, "not those of GATv2Conv or GATConv"),
     "other model": ({f"{ACTOR}models.module.2.cnn.0.weight": (2,)}, TANH, "belongs to no GNN or MLP"),
     "own MLPs": ({f"{MLP}0.weight": (3, 16, 8)}, TANH, "share_policy_params=True"),
@@ -244,7 +277,7 @@ def test_refused_with_one_sentence(
     changes: Mapping[str, tuple[int, ...] | None], settings: Settings, said: str
 ) -> None:
     with pytest.raises(InputError, match=said) as refused:
-        read_actor(checkpoint(**changes), settings)
+        read_actor(checkpoint(**changes), settings, 6)
     assert "\n" not in str(refused.value)
 
 
@@ -256,7 +289,7 @@ def test_files_of_others_and_wrong_widths_are_refused(tmp_path: Path, run_cli: R
         torch.save(tensors, tmp_path / f"{name}.pt")
         ran = run_cli(
             "convert", tmp_path / f"{name}.pt", "--from", "benchmarl", "--out", tmp_path / "out", *TASK,
-            "--activation", "tanh", "--loops",
+            "--activation", "tanh", "--loops", "layer",
         )  # fmt: skip
         assert (ran.code, len(ran.err.splitlines())) == (2, 1)
         assert said in ran.err
@@ -266,5 +299,6 @@ def test_files_of_others_and_wrong_widths_are_refused(tmp_path: Path, run_cli: R
 def test_options_of_the_reader_need_it(tmp_path: Path, run_cli: RunCli) -> None:
     torch.save(checkpoint(), tmp_path / "c.pt")
     options = ("convert", tmp_path / "c.pt", "--out", tmp_path / "out", *TASK)
-    assert "need --from benchmarl" in run_cli(*options, "--no-loops").err
+    assert "are for --from benchmarl" in run_cli(*options, "--position", "0,1").err
+    assert "not a list of entries" in run_cli(*options, "--from", "benchmarl", "--inputs", "0,x").err
     assert "leave out --architecture" in run_cli(*options, "--from", "benchmarl", "--key-map", "k").err

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 import torch
@@ -29,11 +29,11 @@ N = 3
 CARD: dict[str, Any] = {"task": "blind_navigation_v0", "n_agents": N, "attention_entropy": 0.0}
 
 
-def benchmarl(loops: bool) -> Callable[[Path], Path]:
+def benchmarl(loops: Literal["layer", "none"]) -> Callable[[Path], Path]:
     """BenchMARL's GNN and MLP: a GATv2Conv on the complete graph, then a decoder; converted."""
 
     def convert(folder: Path) -> Path:
-        record, weights = read_actor(checkpoint(), Settings("tanh", loops))
+        record, weights = read_actor(checkpoint(), Settings("tanh", loops), 6)
         save_policy(folder, build_policy(record, weights), name="benchmarl", **CARD)
         return folder
 
@@ -102,8 +102,8 @@ def code(network: Callable[[], nn.Module], **options: Any) -> Callable[[Path], P
 
 
 FAMILIES: dict[str, Callable[[Path], Path | PolicyModule]] = {
-    "BenchMARL, loops": benchmarl(True),
-    "BenchMARL, no loops": benchmarl(False),
+    "BenchMARL, loops": benchmarl("layer"),
+    "BenchMARL, no loops": benchmarl("none"),
     "InforMARL": code(InforMarl, graph=RadiusGraph(radius=2.0, loops=False)),
     "TarMAC": code(TarMac),
     "attention and GRU": code(AttentionThenGru),

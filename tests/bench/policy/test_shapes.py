@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xmarl_bench.policy import Architecture, GraphLayer, GraphPolicy, LayeredArchitecture
-from xmarl_bench.policy.architecture import Memory
+from xmarl_bench.policy.architecture import EdgeFeatures, Memory
 from xmarl_bench.policy.layers import LayeredNetwork
 from xmarl_bench.policy.shapes import Shapes, weight_shapes
 
@@ -24,6 +24,7 @@ layers = st.builds(
     heads=st.integers(1, 3),
     concat=st.booleans(),
     residual=st.booleans(),
+    edges=st.sampled_from([None, EdgeFeatures(position=(0,)), EdgeFeatures(velocity=(0, 0), own="mean")]),
     activation=st.just("tanh"),
 )
 

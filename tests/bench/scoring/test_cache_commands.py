@@ -13,6 +13,9 @@ from xmarl_bench.entry.file import read_entries
 from xmarl_bench.records.files import locked
 
 SIZE = ("--episodes", 2, "--timesteps", 2, "--max-cycles", 4)
+# Of a run with one explainer: episodes, those without messages, what all explainers share, explanations; and
+# for the explainer and for random messages a team that acts on them, under zero and under the other models.
+PIECES = 4 + 2 * 2
 
 
 @pytest.fixture
@@ -77,16 +80,16 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
     assert score(run_cli, make_bundle(), out).code == 0
     told = run_cli("status", out)
     assert told.code == 0
-    assert f"{out}: finished, 6 of 6 pieces, 1 of 1 entries." in told.out
+    assert f"{out}: finished, {PIECES} of {PIECES} pieces, 1 of 1 entries." in told.out
     assert "xmarl-bench score --policy" in told.out
     (row,) = json.loads(run_cli("status", "--json").out)
     assert row["state"] == "finished"
-    assert row["pieces"] == [6, 6]
+    assert row["pieces"] == [PIECES, PIECES]
     for result in (out.parent / "cache").glob("*/??/*"):
         result.unlink()
     (row,) = json.loads(run_cli("status", "--json").out)
-    assert row["pieces"] == [0, 6]
-    assert row["explainers"] == {"attention": [0, 2]}  # explaining, and playing on it
+    assert row["pieces"] == [0, PIECES]
+    assert row["explainers"] == {"attention": [0, 3]}  # explanations, and two ways to act on them
     assert_refused(run_cli("status", out / "elsewhere"), "has no record of a run")
 
 
@@ -99,13 +102,15 @@ def test_cache_shows_and_clears_the_cache(
     assert score(run_cli, make_bundle(), out).code == 0
     pieces = [path for path in cache.glob("*/??/*") if path.is_file()]
     size = sum(path.stat().st_size for path in pieces)
-    assert run_cli("cache").out == f"{cache}: 6 pieces, {size / 1e6:.1f} MB, 6 of this version.\n"
+    assert (
+        run_cli("cache").out == f"{cache}: {PIECES} pieces, {size / 1e6:.1f} MB, {PIECES} of this version.\n"
+    )
     (version,) = [path for path in cache.iterdir() if len(path.name) == 16]
     version.rename(cache / ("0" * 16))
     seen = json.loads(run_cli("cache", "--json").out)
-    assert seen == {"folder": str(cache), "pieces": 6, "size": size, "of_version": 0}
+    assert seen == {"folder": str(cache), "pieces": PIECES, "size": size, "of_version": 0}
     (cache / "mine.txt").write_text("")
-    assert run_cli("cache", "clear").out.startswith(f"{cache}: 6 pieces deleted")
+    assert run_cli("cache", "clear").out.startswith(f"{cache}: {PIECES} pieces deleted")
     assert [path.name for path in cache.iterdir()] == ["mine.txt"]
     (out / "ab").mkdir()
     assert run_cli("cache", "clear", "--cache", out).code == 0

@@ -83,7 +83,8 @@ def _what_failed(error: OSError) -> str:
 def _end(message: str | None, code: int) -> None:
     if message is not None:
         with suppress(OSError):
-            print(message, file=sys.stderr, flush=True)
+            # One line, although errors of users' code may have several.
+            print(" ".join(message.split("\n")), file=sys.stderr, flush=True)
     raise SystemExit(code) from None
 
 

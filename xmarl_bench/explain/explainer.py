@@ -225,7 +225,7 @@ def _guarded(explainer: Explainer, seed: int, what: str, run: Callable[[torch.Ge
             return run(torch.Generator().manual_seed(seed))
         except InputError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             reason = f"{type(error).__name__}: {error}".rstrip(". \n")
             raise InputError(
                 f"explainer {explainer.name!r} failed on {what} ({reason}): correct it, or leave it out."

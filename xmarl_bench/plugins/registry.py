@@ -204,7 +204,7 @@ def _made(factory: object, name: str) -> PolicyModule:
         made = factory()
     except InputError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(
             f"policy {name!r} could not be made ({type(error).__name__}: {error}): correct its factory."
         ) from error

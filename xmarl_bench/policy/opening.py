@@ -55,6 +55,10 @@ class Trial:
             raise InputError(
                 f"{self.name} returned {got} for {expected[0]} agents: return {expected}, {holds}."
             )
+        if first.dtype != self.teams.dtype:
+            raise InputError(
+                f"{self.name} returned {first.dtype} for {self.teams.dtype}: keep the dtype of observations."
+            )
         if self.memory_dim:
             remembered = torch.stack([self._alone(0), self._alone(1)])[..., width:]
             self.teams = torch.cat([self.teams[..., : self.obs_dim], remembered], dim=-1)
@@ -65,7 +69,13 @@ class Trial:
                 f"or an overflow."
             )
         self._check_repeats(first)
-        beside = self._run(self.teams.flatten(0, 1), self.together)[: len(first)]
+        both = self._run(self.teams.flatten(0, 1), self.together)
+        if both.shape != (2 * len(first), *first.shape[1:]):
+            raise InputError(
+                f"{self.name} returned shape {tuple(both.shape)} for two teams of {len(first)} agents: "
+                f"return a row for each agent."
+            )
+        beside = both[: len(first)]
         if not torch.allclose(beside, first, rtol=SAME, atol=SAME):
             raise InputError(
                 f"{self.name} mixes the graphs of a batch: let agents interact in message-passing layers "
@@ -103,7 +113,7 @@ class Trial:
                 return run(self.network, x.clone(), edge_index.clone())
         except InputError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             method, state = ("step", ", state") if is_recurrent(self.network) else ("forward", "")
             raise InputError(
                 f"{self.name} failed on {len(x)} agents ({type(error).__name__}: {error}): make its {method} "

@@ -61,6 +61,16 @@ class PolicyModule:
         Raises InputError for an unknown task, a network that masks cannot explain (see ModulePolicy and
         xmarl_bench.policy.interventions), and an invalid name, team size or distribution.
         """
+        if not isinstance(self.network, nn.Module):
+            raise InputError(
+                f"the network of policy {self.name!r} is a {type(self.network).__name__}: "
+                f"give a torch module."
+            )
+        if not isinstance(self.task, str) or not isinstance(self.n_agents, int):
+            raise InputError(
+                f"policy {self.name!r} has task {self.task!r} and n_agents {self.n_agents!r}: "
+                f"give a name and a whole number."
+            )
         check_tensors(self.network, self.name)
         # Whoever runs the policy's code runs that of its task.
         source = open_task(self.task, trust_code=True)

@@ -91,7 +91,8 @@ class Cache:
 
     def size(self, version: str) -> Size:
         """The size of the cache. version: the beginning of a version's keys."""
-        pieces = [path for path in self.folder.glob("*/*/*") if re.fullmatch("[0-9a-f]+", path.name)]
+        found = self.folder.glob("*/*/*") if self._is_marked() else ()
+        pieces = [path for path in found if re.fullmatch("[0-9a-f]+", path.name)]
         of_version = sum(path.parent.parent.name == version for path in pieces)
         return Size(len(pieces), sum(path.stat().st_size for path in pieces), of_version)
 
@@ -104,9 +105,12 @@ class Cache:
 
     def _contents(self) -> Iterator[Path]:
         """The cache's files and folders; none if the folder is not marked as a cache."""
-        if (self.folder / "CACHEDIR.TAG").is_file():
+        if self._is_marked():
             yield from (path for path in self.folder.glob("*/") if OURS.fullmatch(path.name))
             yield from (self.folder / name for name in MARKS if (self.folder / name).exists())
+
+    def _is_marked(self) -> bool:
+        return (self.folder / "CACHEDIR.TAG").is_file()
 
 
 def _digest(value: bytes) -> bytes:

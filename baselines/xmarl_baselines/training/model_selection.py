@@ -7,17 +7,18 @@ explanations can be studied along training (Kailas et al., ICML 2025, appendix o
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from stable_baselines3.common.callbacks import BaseCallback
 
 from xmarl_baselines.training.mappo import MAPPO
+from xmarl_baselines.training.run_files import damaged, read_run_file
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.policy.default_policies import selection_key
 from xmarl_bench.records.files import write_atomically, write_json
@@ -107,8 +108,7 @@ class ModelSelection(BaseCallback):
     def curve(self) -> list[Record]:
         """The records so far, in order of frames."""
         path = self._folder / "curve.json"
-        records: list[Record] = json.loads(path.read_bytes()) if path.exists() else []
-        return records
+        return read_run_file(path, _validations) if path.exists() else []
 
     def best(self) -> tuple[GraphPolicy, Record]:
         """The best validated policy and its record."""
@@ -120,5 +120,16 @@ class ModelSelection(BaseCallback):
     def policy_at(self, record: Record) -> GraphPolicy:
         assert isinstance(self.model, MAPPO)
         policy = plain_actor(self.model)
-        policy.load_state_dict(load_file(weights_at(self._folder, record)))
+        weights = weights_at(self._folder, record)
+        try:
+            policy.load_state_dict(load_file(weights))
+        except (SafetensorError, RuntimeError):
+            raise damaged(weights) from None
         return policy
+
+
+def _validations(curve: list[Record]) -> list[Record]:
+    """The curve. Raises KeyError or TypeError if it holds anything but validations."""
+    for record in curve:
+        _ = [record[name] for name in ("frames", *MEASURES)]
+    return curve

@@ -27,6 +27,7 @@ from xmarl_envs import make_task
 from xmarl_baselines.training.mappo import MAPPO
 from xmarl_baselines.training.model_selection import ModelSelection, Record
 from xmarl_baselines.training.recipes import Recipe
+from xmarl_baselines.training.run_files import damaged, read_run_file
 from xmarl_baselines.training.team_vec_env import TeamVecEnv
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy
@@ -112,10 +113,10 @@ def train(
     frames, seconds = done or (0, 0.0)
     model = build(run, seed=run.seed + frames, tensorboard=folder / "tensorboard")
     if done is not None:
-        model.set_parameters(str(folder / "checkpoint.zip"), device="cpu")
+        _restore(model, folder / "checkpoint.zip")
         model.num_timesteps = frames
     elif start_from is not None:
-        model.set_parameters(str(start_from / "checkpoint.zip"), device="cpu")
+        _restore(model, start_from / "checkpoint.zip")
     cell = Cell(run.recipe.task, run.n_agents)
     selection = ModelSelection(
         folder,
@@ -180,14 +181,23 @@ def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
     if not settings.exists():
         write_json(settings, run.settings())
         return None
-    if json.loads(settings.read_bytes()) != run.settings():
+    if read_run_file(settings, lambda record: record) != run.settings():
         raise InputError(f"{folder} holds a run with other settings: choose another --out, or remove it.")
     if not resume:
         raise InputError(f"{folder} holds this run already: add --resume to go on with it, or remove it.")
     if not progress.exists():
         return None
-    done = json.loads(progress.read_bytes())
-    return int(done["frames"]), float(done["seconds"])
+    return read_run_file(progress, lambda done: (int(done["frames"]), float(done["seconds"])))
+
+
+def _restore(model: MAPPO, checkpoint: Path) -> None:
+    """Set weights and optimiser. Raises InputError if the file is not a checkpoint of such a model."""
+    try:
+        model.set_parameters(str(checkpoint), device="cpu")
+    except OSError:
+        raise
+    except Exception as error:  # of zipfile, pickle or torch
+        raise damaged(checkpoint) from error
 
 
 class _Caution(BaseCallback):

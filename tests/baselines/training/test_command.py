@@ -12,6 +12,7 @@ from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.reference import SEEDS, SIZES, reference_runs, run_named
 from xmarl_baselines.training.command import _command, main, train_and_save, train_missing
 from xmarl_baselines.training.families import FAMILIES, Family
+from xmarl_baselines.training.model_selection import weights_at
 from xmarl_baselines.training.recipes import RECIPES, recipe_for
 from xmarl_baselines.training.trainer import Run
 
@@ -104,6 +105,37 @@ def test_a_refusal_is_one_line(
     assert said.startswith("xmarl-train: unknown task 'chess'")
     assert len(said.splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_damaged_files_of_a_run_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("xmarl_baselines.training.command.recipe_for", small)
+    options = ["--task", "blind_discovery_v0", "--frames", "320", "--episodes", "1", "--seed", "3"]
+
+    def end(*arguments: str) -> object:
+        monkeypatch.setattr("sys.argv", ["xmarl-train", "--out", str(tmp_path), *options, *arguments])
+        with pytest.raises(SystemExit) as done:
+            main()
+        return done.value.code
+
+    assert end() == 0
+    (folder,) = tmp_path.iterdir()
+    progress = folder / "progress.json"
+    weights = weights_at(folder, load_card(folder / "policy").training["validation"])
+    for path, content in (
+        (folder / "checkpoint.zip", b"x"), (folder / "settings.json", b"{"), (progress, b"[]"),
+        (progress, b"\xff"), (folder / "curve.json", b"[{}]"), (weights, b"x"),
+    ):  # fmt: skip
+        intact = path.read_bytes()
+        path.write_bytes(content)
+        capsys.readouterr()
+        assert end("--resume") == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f"xmarl-train: {path} is damaged: ")
+        assert said.count("\n") == 1
+        path.write_bytes(intact)
+    assert end("--resume") == 0
 
 
 def test_reference_runs_have_the_names_of_their_settings() -> None:

@@ -40,6 +40,22 @@ def crashes() -> PolicyModule:
     raise RuntimeError("no weights here")
 
 
+def leaves() -> PolicyModule:
+    raise SystemExit(4)
+
+
+def no_network() -> PolicyModule:
+    return PolicyModule("none", "weights", "blind_navigation_v0", 3)  # type: ignore[arg-type]
+
+
+def no_task() -> PolicyModule:
+    return PolicyModule("none", Pilot(), ["blind_navigation_v0"], 3)  # type: ignore[arg-type]
+
+
+def wordy() -> PolicyModule:
+    raise RuntimeError("first line\nsecond line")
+
+
 def nothing() -> None:
     return None
 
@@ -117,6 +133,9 @@ def test_a_module_from_a_notebook_is_scored_directly() -> None:
         ("nothing", "NoneType: make its factory return a PolicyModule"),
         ("nowhere", "unknown task 'chess'"),
         ("misnamed", "no valid name"),
+        ("leaves", r"could not be made \(SystemExit: 4\)"),
+        ("no_network", "the network of policy 'none' is a str"),
+        ("no_task", r"has task \['blind_navigation_v0'\] and n_agents 3: give a name"),
         ("RAN", "is a list"),
         ("gone", "has no 'gone'"),
     ],
@@ -124,6 +143,13 @@ def test_a_module_from_a_notebook_is_scored_directly() -> None:
 def test_factories_that_return_no_policy_are_refused(factory: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         registry.open_policy(f"{HERE}:{factory}", trust_code=True)
+
+
+def test_an_error_of_several_lines_is_printed_on_one(run_cli: RunCli) -> None:
+    ran = run_cli("check", "policy", f"{HERE}:wordy", "--trust-code")
+    assert (ran.code, ran.out) == (2, "")
+    assert "(RuntimeError: first line second line)" in ran.err
+    assert len(ran.err.splitlines()) == 1
 
 
 @pytest.mark.usefixtures("plugin")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -208,6 +209,15 @@ REFUSED: dict[str, tuple[nn.Module, str]] = {
         Network(lambda self, x, edges: (self.layer(x, edges), x)),
         r"returned a tuple .* return \(3, 4\)",
     ),
+    "another dtype": (
+        Network(lambda self, x, edges: self.layer(x, edges).double()),
+        "returned torch.float64 for torch.float32: keep",
+    ),
+    "rows of one team": (
+        Network(lambda self, x, edges: self.layer(x, edges)[:N]),
+        r"returned shape \(3, 4\) for two teams of 3 agents",
+    ),
+    "exit": (Network(lambda self, x, edges: sys.exit(3)), r"failed on 3 agents \(SystemExit: 3\)"),
     "not a number": (Network(lambda self, x, edges: self.layer(x, edges) / 0.0), "returned NaN or infinity"),
     "crash": (
         Network(lambda self, x, edges: self.layer(x)),

@@ -1,4 +1,4 @@
-"""`xmarl-bench check explainer|policy`: exit code 1 if a check fails."""
+"""`xmarl-bench check explainer|policy|task`: exit code 1 if a check fails."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from xmarl_bench.checks import Finding
 
 check = typer.Typer(
-    name="check", help="Check an explainer or a policy before it is scored.", no_args_is_help=True
+    name="check", help="Check an explainer, a policy or a task before it is scored.", no_args_is_help=True
 )
 
 
@@ -69,6 +69,23 @@ def check_policy(
     check_fit(card, cell)
     findings = run(network, cell, timesteps=timesteps, episodes=episodes)
     report(f"policy {card.name} with {cell.n_agents} agents", findings, as_json=as_json)
+
+
+@check.command("task")
+def check_task(
+    name: Annotated[str, typer.Argument(help="Task name, path/to/file.py:factory or module:factory.")],
+    agents: Annotated[int, typer.Option(help="Team size.")] = 3,
+    episodes: Annotated[int, typer.Option(min=2, help="Episodes to play with random actions.")] = 5,
+    trust_code: TrustCode = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check that a task can be scored: episodes repeat, and what infos tell; 1 if a check fails."""
+    from xmarl_bench.checks.task_checks import check_task as run
+    from xmarl_bench.rollout.cell import Cell
+    from xmarl_bench.tasks.sources import open_task
+
+    cell = Cell(open_task(name, trust_code=trust_code).name, agents)
+    report(f"task {cell.task} with {cell.n_agents} agents", run(cell, episodes=episodes), as_json=as_json)
 
 
 def report(subject: str, findings: Iterable[Finding], *, as_json: bool) -> None:

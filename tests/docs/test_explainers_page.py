@@ -8,32 +8,44 @@ from pathlib import Path
 
 import pytest
 
+from tests.bench.explain.test_other_libraries import BY_ROWS, OF_CAPTUM, OF_GRAPH_EXPLAIN, OF_SHAP
+from tests.bench.explain.test_pyg import EVERY
 from tests.conftest import RunCli
+from tests.helpers.libraries import BLOCKS, PAGE, library
 from tests.helpers.shipped import shipped_explainers
 from xmarl_bench.explain.adapters import DECLARATIONS
 from xmarl_bench.explain.explainer import Explainer
 
-PAGE = (Path(__file__).parents[2] / "docs" / "explainers.md").read_text(encoding="utf-8")
-BLOCKS: list[str] = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
-
 
 @pytest.mark.slow
 def test_the_code_runs_from_top_to_bottom() -> None:
-    assert len(BLOCKS) == 6
+    assert len(BLOCKS) == 9
+    for name in ("captum", "graph_explain", "shap"):
+        library(name)
     names: dict[str, object] = {"__name__": "page"}
     for block in BLOCKS:
         exec(compile(block, "explainers.md", "exec"), names)
 
 
+COMMANDS = re.findall(r"^xmarl-bench ((?:check|compare|score) .*?)(?: {3,}#.*)?$", PAGE, flags=re.MULTILINE)
+SMALL = ("--episodes", 2, "--timesteps", 2, "--max-cycles", 3)
+
+
 @pytest.mark.slow
-def test_the_commands_run(run_cli: RunCli, tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text(BLOCKS[0].partition("entry =")[0])
-    commands = re.findall(r"^xmarl-bench (score .*)$", PAGE, flags=re.MULTILINE)
-    assert len(commands) == 2
-    for command in commands:
-        arguments = command.replace("own.py", str(tmp_path / "own.py")).split()
-        ran = run_cli(*arguments, "--episodes", 1, "--timesteps", 2, "--max-cycles", 3, "--out", tmp_path)
-        assert ran.code == 0, ran.err
+def test_the_commands_run(run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").write_text(BLOCKS[0].partition("entry =")[0])
+    shells = re.findall(r"^```sh\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
+    assert set(re.findall(r"^```(\w+)$", PAGE, flags=re.MULTILINE)) == {"python", "sh"}
+    assert len(COMMANDS) == sum(len(shell.splitlines()) for shell in shells)
+    own, of_pyg, check, compare = (command.split() for command in COMMANDS)
+    for command in (own, of_pyg, [*own[:4], "gnn_explainer", "--no-behaviour", "gnn_explainer"]):
+        assert run_cli(*command, *SMALL, "--out", "results").code == 0
+    assert run_cli(*check, "--timesteps", 2).code == 0
+    compared = run_cli(*compare, "--entries", "results")
+    assert compared.code == 0, compared.err
+    assert "attention - gnn_explainer" in compared.out
+    assert Path("comparison.png").stat().st_size > 10_000
 
 
 def test_the_table_of_questions_says_what_each_shipped_explainer_declares() -> None:
@@ -52,3 +64,21 @@ def test_every_declaration_is_in_the_table() -> None:
     assert [name for name in DECLARATIONS if f"`{name}`" not in rows] == []
     ours = {"explain", "control", "fit", "fitted_on", "simulator", "origin"}  # of the harness
     assert {each.name for each in fields(Explainer)} - ours <= set(DECLARATIONS)
+
+
+def test_the_table_of_other_libraries_lists_what_is_tested() -> None:
+    table = PAGE.split("These run unmodified")[1].split("|---|---|---|\n")[1].split("\n\n")[0]
+    said: dict[str, set[str]] = {}
+    for line in table.splitlines():
+        library_name, names, _ = line.strip("| ").split(" | ")
+        said.setdefault(library_name.strip("`"), set()).update(re.findall("`(.+?)`", names))
+    of_pyg = {type(each.algorithm()).__name__ for each in EVERY.values()}
+    assert said.pop("torch_geometric") == of_pyg
+    assert said.pop("torch_geometric.contrib") == {"PGMExplainer"}  # tests/bench/explain/test_node_importance
+    assert said.pop("captum") == set(OF_CAPTUM)
+    assert said.pop("shap") == set(OF_SHAP)
+    assert said.pop("lightshap") == {
+        name.split()[0] for name in BY_ROWS.keys() - OF_CAPTUM.keys() - OF_SHAP.keys()
+    }
+    assert said.pop("graph-explain") == set(OF_GRAPH_EXPLAIN)
+    assert said == {}

@@ -14,6 +14,7 @@ from torch_geometric.explain import Explainer as PygExplainer
 from torch_geometric.explain import Explanation, GNNExplainer, ModelConfig
 
 from tests.conftest import MakeBundle
+from tests.helpers.libraries import library
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench import as_explainer, score
 from xmarl_bench.errors import InputError
@@ -151,7 +152,7 @@ def chi_square(x: str, y: str, z: list[str], data: Any, **options: Any) -> tuple
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:'torch_geometric.contrib' contains experimental code")
 def test_pgm_explainer_explains_each_agent_by_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("pandas")
+    library("pandas")
     for name in ("pgmpy", "pgmpy.estimators", "pgmpy.estimators.CITests"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setattr(sys.modules["pgmpy.estimators.CITests"], "chi_square", chi_square, raising=False)

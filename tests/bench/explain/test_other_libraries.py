@@ -112,6 +112,8 @@ SAMPLED = ("ShapleyValueSampling", "KernelShap", "PermutationExplainer", "Sampli
 @pytest.mark.parametrize("name", BY_ROWS)
 def test_explainers_of_a_function_explain_rows_of_the_mask(name: str, policy: Policy) -> None:
     """Shapley values, exact or sampled, are ours; leaving out one message at a time is occlusion."""
+    if name in ("KernelShap", "Lime"):  # Captum imports it for these
+        library("sklearn")
     mask = run_twice(by_rows(BY_ROWS[name]), policy)
     ours = run_explainer(shapley, policy, OBSERVATIONS, 0)
     if name in EXACT:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.interventions import SAME
 from xmarl_bench.policy.messages import Call, followed
-from xmarl_bench.policy.recurrent import initial_state, is_recurrent, run
+from xmarl_bench.policy.recurrent import call, initial_state, is_recurrent
 
 REPEATED = 1e-6  # largest difference between two calls: threads may sum in another order
 
@@ -110,7 +110,7 @@ class Trial:
     def _run(self, x: Tensor, edge_index: Tensor) -> Tensor:
         try:
             with torch.no_grad(), followed(self.network, edge_index, len(x)) as self.calls:
-                return run(self.network, x.clone(), edge_index.clone())
+                return call(self.network, x.clone(), edge_index.clone())
         except InputError:
             raise
         except (Exception, SystemExit) as error:

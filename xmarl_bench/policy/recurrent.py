@@ -49,7 +49,27 @@ def initial_state(network: nn.Module, n: int) -> Tensor:
 
 
 def run(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
-    """(n, D + H), (2, edges) -> (n, W + H): the network's output of width W, then the next memory."""
+    """(n, D + H), (2, edges) -> (n, W + H): the network's output of width W, then the next memory.
+
+    Raises InputError if the network fails, or does not return a row for each agent.
+    """
+    name = type(network).__name__
+    try:
+        output = call(network, x, edge_index)
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise InputError(
+            f"{name} failed on {len(x)} agents ({type(error).__name__}: {error}): correct the network."
+        ) from error
+    if not isinstance(output, Tensor) or output.dim() != 2 or len(output) != len(x):
+        got = f"shape {tuple(output.shape)}" if isinstance(output, Tensor) else f"a {type(output).__name__}"
+        raise InputError(f"{name} returned {got} for {len(x)} agents: return a row for each agent.")
+    return output
+
+
+def call(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
+    """The same as `run`, with the network's own errors, and whatever it returns if it is not recurrent."""
     if not is_recurrent(network):
         plain: Tensor = network(x, edge_index)
         return plain

@@ -257,6 +257,28 @@ def test_a_fault_that_appears_only_while_scoring_is_refused_then() -> None:
         policy.distribution(random_observations(2, N, 6))
 
 
+@pytest.mark.parametrize(
+    ("forward", "said"),
+    [
+        (
+            lambda self, x, edges: 1 / 0,
+            r"Network failed on 6 agents \(ZeroDivisionError: .*\): correct the n",
+        ),
+        (lambda self, x, edges: sys.exit(3), r"Network failed on 6 agents \(SystemExit: 3\)"),
+        (lambda self, x, edges: self.layer(x, edges)[:4], r"Network returned shape \(4, 4\) for 6 agents"),
+        (lambda self, x, edges: None, "Network returned a NoneType for 6 agents: return a row for each"),
+    ],
+)
+def test_a_network_that_fails_only_later_is_named_then(
+    forward: Callable[..., Tensor], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = Network(lambda self, x, edges: self.layer(x, edges))
+    policy, observations = opened(network), random_observations(2, N, 6)
+    monkeypatch.setattr(Network, "forward", forward)
+    with pytest.raises(InputError, match=said):
+        policy.distribution(observations)
+
+
 def test_bundles_are_tested_when_they_are_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No bundle contains such a network, so the fault is patched into ours."""
     card: dict[str, Any] = {"task": "blind_navigation_v0", "n_agents": 4, "attention_entropy": 0.0}

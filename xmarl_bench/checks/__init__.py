@@ -1,4 +1,4 @@
-"""Checks of an explainer, a policy or a task before it is scored: each passes or says in a sentence why not."""
+"""Checks of explainers, policies and tasks before scoring: each passes or says in a sentence why not."""
 
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
 

@@ -66,7 +66,7 @@ class PolicyModule:
                 f"the network of policy {self.name!r} is a {type(self.network).__name__}: "
                 f"give a torch module."
             )
-        if not isinstance(self.task, str) or not isinstance(self.n_agents, int):
+        if not (isinstance(self.task, str) or callable(self.task)) or not isinstance(self.n_agents, int):
             raise InputError(
                 f"policy {self.name!r} has task {self.task!r} and n_agents {self.n_agents!r}: "
                 f"give a name and a whole number."

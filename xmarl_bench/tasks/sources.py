@@ -17,14 +17,15 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final
 
+import numpy as np
 from xmarl_envs import TASKS, Task
 
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin
 from xmarl_bench.origin.references import Origin, check_named, is_reference, load_reference, origin_of
-from xmarl_bench.tasks.interface import TeamTask
+from xmarl_bench.tasks.interface import TeamTask, random_actions
 from xmarl_bench.tasks.parallel_task import ParallelTask, foreign_code
-from xmarl_bench.tasks.parallel_trial import parallel_task
+from xmarl_bench.tasks.parallel_trial import SEED, parallel_task
 
 GROUP: Final = "xmarl_bench.tasks"
 NAME = re.compile(r"^[a-z0-9][a-z0-9._-]{0,99}$")  # safe in file names
@@ -57,8 +58,7 @@ class TaskSource:
             )
         if self.origin is None:
             return factory(n_agents=n_agents)
-        with foreign_code(self.name, f"making a team of {n_agents}"):
-            return factory(n_agents=n_agents)
+        return _tried_rules(self.name, factory, n_agents)
 
     @property
     def observation_names(self) -> tuple[str, ...]:
@@ -79,6 +79,23 @@ def _task_class(factory: object) -> type[Task] | None:
 @lru_cache(maxsize=KEPT)
 def _tried(name: str, factory: Callable[[int], Any], n_agents: int) -> ParallelTask:
     return parallel_task(name, factory, n_agents)
+
+
+@lru_cache(maxsize=KEPT)
+def _tried_rules(name: str, factory: type[Task], n_agents: int) -> Task:
+    """A task of one's own. Raises InputError if its first step fails."""
+    with foreign_code(name, f"making a team of {n_agents}"):
+        task = factory(n_agents=n_agents)
+    with foreign_code(name, "its first step"):
+        env = task.vector_env(1)
+        seen = env.reset([SEED])
+        env.step(random_actions(task, 1, np.random.default_rng(SEED)))
+    if seen.shape != (1, n_agents, task.obs_dim):
+        raise InputError(
+            f"task {name!r} gave observations of shape {seen.shape[1:]}, expected "
+            f"{(n_agents, task.obs_dim)}: name every entry of an observation in observation_names."
+        )
+    return task
 
 
 def task_names() -> list[str]:

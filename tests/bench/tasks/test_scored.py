@@ -20,6 +20,8 @@ from xmarl_bench.board.gate import gate_reason
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.policy import GraphPolicy, PolicyCard
+from xmarl_bench.rollout.cell import Cell
+from xmarl_bench.scoring.piece_keys import Keys
 from xmarl_bench.submission.consistency import entry_findings
 from xmarl_bench.tasks import sources
 
@@ -89,6 +91,19 @@ def test_tasks_of_the_same_name_and_other_code_share_no_table() -> None:
     assert theirs.entry_id == scored(worlds.spread).entry_id
     assert len(board_of([("a", theirs), ("b", theirs)])["tables"]) == 1
     assert len(board_of([("a", theirs), ("b", ours)])["tables"]) == 2
+
+
+def test_the_key_of_a_task_covers_its_code() -> None:
+    def spread(n_agents: int) -> object:
+        return simple_spread_v3.parallel_env(N=n_agents, local_ratio=0.0, continuous_actions=False)
+
+    keys = []
+    for factory in (worlds.spread, worlds.spread, spread):
+        sources.open_task(factory)
+        keys.append(Keys().task(Cell("spread", 3)))
+    assert keys[0] is not None
+    assert keys[0] == keys[1] != keys[2]
+    assert Keys().task(Cell("blind_navigation_v0", 3)) is None
 
 
 @pytest.mark.slow

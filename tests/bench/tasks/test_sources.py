@@ -110,3 +110,14 @@ def test_a_cell_checks_the_team_size() -> None:
     open_task(worlds.Farther)
     with pytest.raises(InputError, match="takes 1 to 64 agents, got 65"):
         Cell("farther_v0", 65)
+
+
+def test_rules_that_fail_are_refused_when_a_team_is_made() -> None:
+    open_task(worlds.Broken)
+    with pytest.raises(
+        InputError, match=r"'broken_v0' failed in its first step \(IndexError: no third goal\)"
+    ):
+        Cell("broken_v0", 3)
+    open_task(worlds.Torn)
+    with pytest.raises(InputError, match=r"shape \(3, 6\), expected \(3, 4\): name every entry"):
+        Cell("torn_v0", 3)

@@ -211,10 +211,26 @@ def told(n_agents: int) -> Told:
 
 
 class Farther(BlindNavigation):
-    """A `Task` of one's own: goals count from twice as far."""
+    """A `Task` of one's own: half as large agents."""
 
     name = "farther_v0"
     radius = 0.05
+
+
+class Torn(BlindNavigation):
+    """Does not name all entries of its observations."""
+
+    name = "torn_v0"
+    observation_names = BlindNavigation.observation_names[:4]
+
+
+class Broken(BlindNavigation):
+    """Its rules fail."""
+
+    name = "broken_v0"
+
+    def judge(self, before: Any, state: Any, contacts: Any) -> Any:
+        raise IndexError("no third goal")
 
 
 class Impostor(BlindNavigation):

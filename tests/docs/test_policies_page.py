@@ -15,6 +15,7 @@ from xmarl_baselines.training.recipes import recipe_for
 from xmarl_baselines.training.trainer import Run, build
 
 from tests.bench.policy.test_benchmarl import checkpoint
+from tests.bench.policy.test_benchmarl_config import CONFIG
 from tests.bench.policy.test_layers import GAT2, random_policy, record
 from tests.bench.policy.test_memory import torchrl_key_map
 from tests.conftest import RunCli
@@ -105,14 +106,16 @@ def test_the_commands_of_the_page_convert(
 ) -> None:
     """Each reads a file of the kind that the page tells."""
     monkeypatch.chdir(tmp_path)
-    for folder in ("runs/mine", "checkpoints"):
+    for folder in ("runs/mine", "run/checkpoints"):
         (tmp_path / folder).mkdir(parents=True)
     policy = random_policy(record(GAT2))
     torch.save({"model": weights_of(policy)}, "model.pt")
     torch.save({"net": weights_of(policy)}, "actor.pt")
     Path("architecture.json").write_text(policy.architecture.model_dump_json())
     Path("keys.json").write_text('{"net.": ""}')
-    torch.save(checkpoint(), "checkpoints/checkpoint_60.pt")
+    for path in ("run/checkpoints/checkpoint_60.pt", "checkpoint_60.pt"):
+        torch.save(checkpoint(), path)
+    Path("run/config.pkl").write_bytes(CONFIG)
     recipe = recipe_for("blind_discovery_v0", frames=64, n_envs=2, n_steps=4, batch_size=8)
     build(Run(recipe), seed=0).save("runs/mine/checkpoint.zip")
     commands = [
@@ -120,7 +123,7 @@ def test_the_commands_of_the_page_convert(
         for block in blocks("sh")
         for line in block.replace("\\\n", " ").splitlines()
     ]
-    assert [command[0] for command in commands] == ["convert"] * 4
+    assert [command[0] for command in commands] == ["convert"] * 5
     for command in commands:
         shutil.rmtree("mine", ignore_errors=True)
         ran = run_cli(*command)

@@ -9,7 +9,7 @@ import typer
 
 from xmarl_bench.cli.options import TrustCode
 
-BENCHMARL = "With --from benchmarl: what its checkpoint does not tell"
+BENCHMARL = "With --from benchmarl: what it does not tell without the config.pkl of its experiment"
 
 
 def convert(
@@ -101,6 +101,7 @@ def convert(
     from xmarl_bench.policy import build_policy
     from xmarl_bench.policy import convert as reading
     from xmarl_bench.policy.benchmarl import Settings, read_actor
+    from xmarl_bench.policy.benchmarl_config import completed
     from xmarl_bench.policy.bundle import packed, write_bundle
     from xmarl_bench.policy.shapes import weight_shapes
     from xmarl_bench.rollout.cell import Cell
@@ -141,7 +142,7 @@ def convert(
     opened = open_task(task, trust_code=trust_code)
     task = opened.name
     if source is not None:
-        record, ours = read_actor(tensors, settings, opened.make(agents).obs_dim)
+        record, ours = read_actor(tensors, completed(settings, weights), opened.make(agents).obs_dim)
     else:
         record, ours = reading.renamed_weights(weights, tensors, record, key_map)
     policy = build_policy(record, reading.dense(ours, weight_shapes(record)))

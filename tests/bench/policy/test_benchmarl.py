@@ -116,6 +116,24 @@ def test_the_command_converts_a_checkpoint(loops: str, tmp_path: Path, run_cli: 
 
 @pytest.mark.slow
 @pytest.mark.training
+def test_the_configuration_of_the_experiment_replaces_options(tmp_path: Path, run_cli: RunCli) -> None:
+    benchmarl = helper()
+    algorithm = benchmarl.MappoConfig.get_from_yaml()
+    algorithm.scale_mapping = "softplus"
+    layer = benchmarl.gnn(self_loops=False, add_self_loops=False)
+    actor = benchmarl.sequence([layer, benchmarl.mlp([16], nn.ELU)], 8)
+    theirs = trained(tmp_path / "run", actor, algorithm)
+    assert (theirs.checkpoint.parent.parent / "config.pkl").exists()
+    ran = run_cli("convert", theirs.checkpoint, "--from", "benchmarl", "--out", tmp_path / "mine", *TASK)
+    assert ran.code == 0, ran.err
+    policy, card = load_policy(tmp_path / "mine")
+    assert isinstance(card.architecture, LayeredArchitecture)
+    assert (card.architecture.decoder_activation, card.architecture.graph.loops) == ("elu", False)
+    assert_equal_actors(policy, theirs)
+
+
+@pytest.mark.slow
+@pytest.mark.training
 def test_a_gnn_alone(tmp_path: Path) -> None:
     actor = helper().gnn(self_loops=True, heads=2, concat=False, residual=True)
     theirs = trained(tmp_path / "run", actor)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarl.algorithms import MappoConfig
+from benchmarl import algorithms
 from benchmarl.algorithms.common import AlgorithmConfig
 from benchmarl.environments import VmasTask
 from benchmarl.environments.vmas.common import VmasClass
@@ -37,14 +37,14 @@ def experiment(
     actor: ModelConfig,
     critic: ModelConfig,
     *,
-    algorithm: AlgorithmConfig | None = None,
+    by: AlgorithmConfig | None = None,
     callback: Callback | None = None,
     task: VmasClass | None = None,
 ) -> Experiment:
     """A training, ready to run; with MAPPO and on VMAS navigation by default."""
     return Experiment(
         task=navigation() if task is None else task,
-        algorithm_config=algorithm or MappoConfig.get_from_yaml(),
+        algorithm_config=by or algorithm("Mappo"),
         model_config=actor,
         critic_model_config=critic,
         seed=0,
@@ -88,6 +88,11 @@ class NamedNavigation(VmasClass):  # type: ignore[misc]
 def named_navigation(**changes: object) -> VmasClass:
     """As `navigation`, with observations by name."""
     return NamedNavigation("NAVIGATION", navigation(**changes).config)
+
+
+def algorithm(name: str) -> AlgorithmConfig:
+    """BenchMARL's default settings of an algorithm, such as `Mappo`."""
+    return getattr(algorithms, f"{name}Config").get_from_yaml()
 
 
 def gnn(*, self_loops: bool, **arguments: object) -> GnnConfig:

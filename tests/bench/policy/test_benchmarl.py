@@ -71,7 +71,7 @@ def trained(
     )
     critic = benchmarl.mlp([8])
     task = benchmarl.named_navigation if by_name else benchmarl.navigation
-    run = benchmarl.experiment(config, actor, critic, algorithm=algorithm, task=task(collisions=False))
+    run = benchmarl.experiment(config, actor, critic, by=algorithm, task=task(collisions=False))
     run.run()
     (checkpoint,) = folder.rglob("checkpoint_60.pt")
     return Trained(checkpoint, run.group_policies["agents"], by_name)
@@ -118,7 +118,7 @@ def test_the_command_converts_a_checkpoint(loops: str, tmp_path: Path, run_cli: 
 @pytest.mark.training
 def test_the_configuration_of_the_experiment_replaces_options(tmp_path: Path, run_cli: RunCli) -> None:
     benchmarl = helper()
-    algorithm = benchmarl.MappoConfig.get_from_yaml()
+    algorithm = benchmarl.algorithm("Mappo")
     algorithm.scale_mapping = "softplus"
     layer = benchmarl.gnn(self_loops=False, add_self_loops=False)
     actor = benchmarl.sequence([layer, benchmarl.mlp([16], nn.ELU)], 8)
@@ -151,7 +151,7 @@ def test_mlps_around_two_gnns_and_another_distribution(tmp_path: Path) -> None:
         benchmarl.gnn(self_loops=False, add_self_loops=False, bias=False),
     ]
     before, after = benchmarl.mlp([12], nn.ReLU), benchmarl.mlp([9, 7], nn.ReLU)
-    algorithm = benchmarl.MappoConfig.get_from_yaml()
+    algorithm = benchmarl.algorithm("Mappo")
     algorithm.use_tanh_normal, algorithm.scale_mapping = False, "biased_softplus_0.5"
     theirs = trained(tmp_path / "run", benchmarl.sequence([before, *layers, after], 5, 8, 6), algorithm)
     record, policy = read(theirs.checkpoint, Settings("relu", "none", "biased_softplus_0.5", False))
@@ -198,12 +198,21 @@ def test_discrete_actions(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.training
-def test_deterministic_actions(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["Ippo", "Masac", "Isac"])
+def test_other_algorithms_with_a_distribution(name: str, tmp_path: Path) -> None:
     benchmarl = helper()
-    from benchmarl.algorithms import MaddpgConfig
-
     actor = benchmarl.sequence([benchmarl.gnn(self_loops=True), benchmarl.mlp([16])], 8)
-    theirs = trained(tmp_path / "run", actor, MaddpgConfig.get_from_yaml())
+    theirs = trained(tmp_path / "run", actor, benchmarl.algorithm(name))
+    assert_equal_actors(read(theirs.checkpoint, TANH)[1], theirs)
+
+
+@pytest.mark.slow
+@pytest.mark.training
+@pytest.mark.parametrize("name", ["Maddpg", "Iddpg"])
+def test_deterministic_actions(name: str, tmp_path: Path) -> None:
+    benchmarl = helper()
+    actor = benchmarl.sequence([benchmarl.gnn(self_loops=True), benchmarl.mlp([16])], 8)
+    theirs = trained(tmp_path / "run", actor, benchmarl.algorithm(name))
     record, policy = read(theirs.checkpoint, TANH)
     assert (record.distribution, record.action_dim) == ("deterministic", 2)
     x = random_observations(40, 3, 6)

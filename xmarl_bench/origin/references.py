@@ -52,10 +52,14 @@ def check_named(name: str) -> None:
     for each in body:
         if isinstance(each, ast.FunctionDef | ast.ClassDef):
             names.append(each.name)
-        elif isinstance(each, ast.Assign):
-            names += [target.id for target in each.targets if isinstance(target, ast.Name)]
-        elif isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
-            names.append(each.target.id)
+        elif isinstance(each, ast.Assign | ast.AnnAssign):
+            targets = each.targets if isinstance(each, ast.Assign) else [each.target]
+            names += [
+                part.id
+                for target in targets
+                for part in ast.walk(target)
+                if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
+            ]
     public = [found for found in dict.fromkeys(names) if not found.startswith("_")]
     raise InputError(
         f"{name} is a file of code: give {name}:NAME with one of its names: {', '.join(public) or 'none'}."

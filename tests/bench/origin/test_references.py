@@ -64,10 +64,12 @@ def test_functions_classes_and_objects_of_a_file_are_loaded(file: Path) -> None:
 def test_a_file_without_a_name_is_refused_and_not_run(
     command: tuple[str, ...], file: Path, run_cli: RunCli
 ) -> None:
-    file.write_text(CODE + "_own: int = 1\nother: int = 2\nraise SystemExit(7)\n")
+    file.write_text(
+        CODE + "_own: int = 1\nother: int = 2\n(one, two), half.scale = (3, 4), 5\nraise SystemExit(7)\n"
+    )
     ran = run_cli(*command, file)
     assert (ran.code, ran.out) == (2, "")
-    names = "nearest, Scaled, half, other"
+    names = "nearest, Scaled, half, other, one, two"
     said = f"{file} is a file of code: give {file}:NAME with one of its names: {names}."
     assert ran.err == f"xmarl-bench: {said}\n"
     for content, problem in (("def", "is not Python"), ("\0", "is not Python"), ("", "its names: none.")):

@@ -13,11 +13,11 @@ def load_plugin(plugin: EntryPoint) -> Any:
     """What the entry point names. Runs its module. Raises InputError if it does not load."""
     try:
         return plugin.load()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise plugin_error(plugin, error) from error
 
 
-def plugin_error(plugin: EntryPoint, error: Exception) -> InputError:
+def plugin_error(plugin: EntryPoint, error: BaseException) -> InputError:
     """The error of an entry point that does not load."""
     name = None if plugin.dist is None else plugin.dist.name
     return InputError(

@@ -182,7 +182,7 @@ def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
             str(name): PolicyCode(plugin, place) if callable(place) else Path(place)
             for name, place in listed().items()
         }
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise plugin_error(plugin, error) from error
 
 

@@ -193,7 +193,7 @@ def foreign_code(task: str, call: str) -> Any:
         yield
     except InputError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(
             f"task {task!r} failed in {call} ({type(error).__name__}: {error}): correct its environment."
         ) from error

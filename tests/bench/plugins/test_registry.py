@@ -11,7 +11,9 @@ from tests.conftest import MakeBundle, RunCli
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.controls import CONTROLS
+from xmarl_bench.origin.plugins import load_plugin
 from xmarl_bench.plugins import registry
+from xmarl_bench.tasks.parallel_task import foreign_code
 
 
 def install(monkeypatch: pytest.MonkeyPatch, **plugins: str) -> None:
@@ -107,3 +109,18 @@ SHIPPED: dict[str, Path] = {}
 
 def shipped() -> dict[str, Path]:
     return SHIPPED
+
+
+def test_a_plugin_that_exits_when_it_is_imported_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "plugin_that_exits.py").write_text("raise SystemExit(3)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=r"'leaver' .* failed to load \(SystemExit: 3\)"):
+        load_plugin(EntryPoint("leaver", "plugin_that_exits:make", registry.EXPLAINERS))
+
+
+def test_a_task_that_exits_is_named() -> None:
+    said = r"'mine' failed in step \(SystemExit: 3\)"
+    with pytest.raises(InputError, match=said), foreign_code("mine", "step"):
+        raise SystemExit(3)

@@ -17,6 +17,7 @@ from xmarl_baselines.explainers.shapley import shapley
 from tests.helpers.deep_policies import stack
 from tests.helpers.libraries import defined_in_block, library
 from tests.helpers.policies import random_observations, small_policy
+from tests.helpers.recurrent_policies import recurrent_policy, remembering
 from xmarl_bench import as_explainer
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.policy import Policy
@@ -144,6 +145,20 @@ def test_the_recipes_of_the_page_are_shapley_values(kept: Value) -> None:
     for name in ("captum_shapley", "kernel_shap"):
         recipe = defined_in_block(f"def {name}(", PAGE)[name]
         torch.testing.assert_close(run_twice(recipe, CONTINUOUS), expected, rtol=0, atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("kept")
+@pytest.mark.parametrize("after", [0, 1], ids=["before attention", "after attention"])
+def test_the_recipes_explain_policies_with_memory(after: int) -> None:
+    policy = recurrent_policy(remembering("lstm", after))
+    observations = random_observations(2, N, 6 + policy.memory_dim)
+    recipe = defined_in_block("def captum_shapley(", PAGE)["captum_shapley"]
+    mask = run_explainer(recipe, policy, observations, 1)
+    expected = run_explainer(shapley, policy, observations, 0)
+    torch.testing.assert_close(mask, expected, rtol=0, atol=1e-4)
+    kept_nodes = run_explainer(of_graph_explain("SubgraphX"), policy, observations, 1)
+    assert bool((kept_nodes.diagonal(dim1=1, dim2=2) == 1).all())
 
 
 QUICK: dict[str, dict[str, int]] = {

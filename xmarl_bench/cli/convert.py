@@ -91,6 +91,14 @@ def convert(
             help="Entries of our observation for velocity_key, such as 2,3.", rich_help_panel=BENCHMARL
         ),
     ] = "",
+    radius: Annotated[
+        float | None,
+        typer.Option(
+            help="edge_radius of the topology from_pos, or inf for the topology full; asked for if the GNN "
+            "gets positions.",
+            rich_help_panel=BENCHMARL,
+        ),
+    ] = None,
     trust_code: TrustCode = False,
 ) -> None:
     """Convert weights saved by other tools to a policy bundle. Executes nothing in the file."""
@@ -119,11 +127,12 @@ def convert(
         None if inputs is None else _entries(inputs),
         _entries(position),
         _entries(velocity),
+        radius,
     )
     if source is None and settings != Settings():
         raise InputError(
-            "--activation, --loops, --scale-mapping, --use-tanh-normal, --group, --inputs, --position and "
-            "--velocity are for --from benchmarl: give it, or leave them out."
+            "--activation, --loops, --scale-mapping, --use-tanh-normal, --group, --inputs, --position, "
+            "--velocity and --radius are for --from benchmarl: give it, or leave them out."
         )
     if source is not None and not (architecture is None and key_map is None):
         raise InputError(

@@ -51,6 +51,7 @@ class Settings(NamedTuple):
     inputs: Sequence[int] | None = None  # entry of an observation that each input of the actor is
     position: Sequence[int] = ()  # entries that `position_key` held
     velocity: Sequence[int] = ()  # entries that `velocity_key` held
+    radius: float | None = None  # metres, `edge_radius` of the topology from_pos; inf: the topology full
 
 
 def read_actor(
@@ -98,8 +99,26 @@ def read_actor(
         activation,
         distribution,
         scale=scale,
-        graph={"kind": "complete", "loops": settings.loops != "none"},
+        graph=_graph(steps, settings),
     )
+
+
+def _graph(steps: Sequence[Step], settings: Settings) -> dict[str, object]:
+    loops = settings.loops != "none"
+    radius = math.inf if settings.radius is None else settings.radius
+    placed = any(isinstance(s, Conv) and s.edges is not None and s.edges.position for s in steps)
+    if placed and settings.radius is None:
+        raise InputError(
+            "the checkpoint does not tell the topology of a GNN that gets positions: give --radius, the "
+            "edge_radius of from_pos, or --radius inf for full."
+        )
+    if radius == math.inf:
+        return {"kind": "complete", "loops": loops}
+    if not placed or not radius > 0:
+        raise InputError(
+            f"--radius is {radius:g}: give a distance above 0, and only for a GNN that gets positions."
+        )
+    return {"kind": "radius", "radius": radius, "position": tuple(settings.position), "loops": loops}
 
 
 def _group(tensors: Mapping[str, Tensor], given: str | None) -> str:

@@ -5,6 +5,7 @@ The file holds, one after the other: task, task's configuration, algorithm, mode
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ def completed(settings: Settings, checkpoint: Path) -> Settings:
     recorded = Settings(
         activation=_activation(model),
         loops=_loops(model),
+        radius=_radius(model),
         scale_mapping=scale if isinstance(scale, str) else None,
         use_tanh_normal=tanh_normal if isinstance(tanh_normal, bool) else None,
     )
@@ -76,19 +78,32 @@ def _loops(model: PickledRecord) -> Any:
         arguments, kind = part.get("gnn_kwargs") or {}, _name(part["gnn_class"])
         arguments = arguments if isinstance(arguments, dict) else {"an unknown value": arguments}
         other = sorted(str(name) for name in arguments.keys() - SHOWN)
-        if other or part.get("topology") != "full":
-            what = (
-                f"gnn_kwargs {shown(', '.join(other))}"
-                if other
-                else f"topology {_name(part.get('topology'))}"
+        if other:
+            raise InputError(
+                f"the actor's GNN has gnn_kwargs {shown(', '.join(other))}, which a bundle cannot express: "
+                f"{AS_CODE}."
             )
-            raise InputError(f"the actor's GNN has {what}, which a bundle cannot express: {AS_CODE}.")
         if arguments.get("add_self_loops", True) and kind in ADDS_LOOPS:
             found.add("layer")
         else:
             found.add("graph" if part.get("self_loops") else "none")
     if len(found) > 1:
         raise InputError(f"only some of the actor's GNNs have self loops: {AS_CODE}.")
+    return found.pop() if found else None
+
+
+def _radius(model: PickledRecord) -> float | None:
+    found: set[float] = set()
+    for part in _models(model, "gnn_class"):
+        topology, radius = part.get("topology"), part.get("edge_radius")
+        if topology == "full":
+            found.add(math.inf)
+        elif topology == "from_pos" and isinstance(radius, int | float):
+            found.add(float(radius))
+        else:
+            raise InputError(f"the actor's GNN has the topology {_name(topology)}: {AS_CODE}.")
+    if len(found) > 1:
+        raise InputError(f"the actor's GNNs have different topologies: {AS_CODE}.")
     return found.pop() if found else None
 
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 import torch
 from torch import Tensor, nn
+from torch_geometric.nn import pool as nn_pool
 
 from tests.conftest import RunCli
 from tests.helpers.policies import random_observations
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy import LayeredArchitecture, Policy, build_policy, load_policy
+from xmarl_bench.policy import LayeredArchitecture, Policy, RadiusGraph, build_policy, load_policy
 from xmarl_bench.policy.benchmarl import Settings, read_actor
 from xmarl_bench.policy.convert import dense, read_tensors
 from xmarl_bench.policy.shapes import weight_shapes
@@ -172,12 +174,44 @@ def test_edge_features_of_positions_and_velocities(loops: Any, tmp_path: Path) -
         setattr(layer, name, value)
     theirs = trained(tmp_path / "run", benchmarl.sequence([layer, benchmarl.mlp([16])], 8), by_name=True)
     inputs = (4, 5, 2, 3) if loops == "none" else (4, 5, 0, 1, 2, 3)
-    settings = Settings("tanh", loops, inputs=inputs, position=(0, 1), velocity=(2, 3))
+    settings = Settings("tanh", loops, inputs=inputs, position=(0, 1), velocity=(2, 3), radius=inf)
     record, policy = read(theirs.checkpoint, settings)
     assert record.layers[0].edges is not None
     assert record.layers[0].edges.own == ("mean" if loops == "layer" else "zero")
     assert record.obs_dim == 6
     assert_equal_actors(policy, theirs)
+
+
+@pytest.mark.slow
+@pytest.mark.training
+@pytest.mark.parametrize("loops", ["layer", "none"])
+def test_the_topology_from_positions(
+    loops: Any, tmp_path: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """BenchMARL searches neighbours with pyg-lib, which is not on PyPI."""
+    monkeypatch.setattr(nn_pool, "radius_graph", near)
+    benchmarl = helper()
+    layer = benchmarl.gnn(self_loops=False, add_self_loops=loops == "layer", residual=True)
+    layer.topology, layer.edge_radius = "from_pos", 1.5
+    layer.position_key, layer.pos_features, layer.exclude_pos_from_node_features = "pos", 2, False
+    theirs = trained(tmp_path / "run", layer, by_name=True)
+    ran = run_cli(
+        "convert", theirs.checkpoint, "--from", "benchmarl", "--out", tmp_path / "mine", *TASK,
+        "--inputs", "4,5,2,3,0,1", "--position", "0,1",
+    )  # fmt: skip
+    assert ran.code == 0, ran.err
+    policy, card = load_policy(tmp_path / "mine")
+    assert card.architecture.graph == RadiusGraph(radius=1.5, loops=loops == "layer")
+    adjacency = policy.adjacency(random_observations(40, 3, 6))
+    assert adjacency is not None
+    assert 0.2 < adjacency.float().mean() < 0.8
+    assert_equal_actors(policy, theirs)
+
+
+def near(pos: Tensor, r: float, batch: Tensor, loop: bool) -> Tensor:
+    """(n, 2) -> (2, edges) of torch_geometric's `radius_graph`: neighbours within r in the same team."""
+    there = (torch.cdist(pos, pos) <= r) & (batch[:, None] == batch[None])
+    return (there & (loop | ~torch.eye(len(pos), dtype=torch.bool))).nonzero().T
 
 
 @pytest.mark.slow
@@ -272,7 +306,7 @@ SECOND_GNN = {
     for name, tensor in checkpoint().items()
     if name.startswith(GNN)
 }
-PLACED = TANH._replace(inputs=tuple(range(6)), position=(0, 1))
+PLACED = TANH._replace(inputs=tuple(range(6)), position=(0, 1), radius=1.0)
 EDGES = {f"{GNN}lin_edge.weight": (8, 3)}
 REFUSED: dict[str, tuple[Mapping[str, tuple[int, ...] | None], Settings, str]] = {
     "activation": ({}, Settings(loops="layer"), "give --activation"),
@@ -285,6 +319,9 @@ REFUSED: dict[str, tuple[Mapping[str, tuple[int, ...] | None], Settings, str]] =
     "edge features": (EDGES, TANH, "give --position and --velocity"),
     "their width": (EDGES, PLACED._replace(velocity=(2, 3)), "gets 3 numbers .* give 5"),
     "their entries": (EDGES, PLACED._replace(position=(0, 6)), "need entry 6 of an observation of 6"),
+    "topology": (EDGES, PLACED._replace(radius=None), "give --radius, the edge_radius of from_pos, or"),
+    "radius": (EDGES, PLACED._replace(radius=-1.0), "--radius is -1: give a distance above 0"),
+    "radius of nothing": ({}, TANH._replace(radius=1.0), "only for a GNN that gets positions"),
     "inputs": ({}, TANH._replace(inputs=(0, 6)), r"--inputs has entries .* from 0 to 5"),
     "other layer": ({f"{GNN}lin_rel.weight": (8, 6)}, TANH, "not those of GATv2Conv or GATConv"),
     "other model": ({f"{ACTOR}models.module.2.cnn.0.weight": (2,)}, TANH, "belongs to no GNN or MLP"),

@@ -6,6 +6,7 @@ import contextlib
 import io
 import pickle
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ class Gnn:
     gnn_kwargs: Any = None
     gnn_class: Any = GATv2Conv
     topology: str = "full"
+    edge_radius: float | None = None
 
 
 @dataclass
@@ -109,20 +111,26 @@ def test_values_that_would_grow_without_bounds_do_not() -> None:
 @pytest.mark.parametrize(
     ("models", "expected"),
     [
-        ([Gnn(), Mlp()], Settings("tanh", "layer", "softplus", True)),
+        ([Gnn(), Mlp()], Settings("tanh", "layer", "softplus", True, radius=inf)),
         (
             [Mlp(), Gnn(True, {"add_self_loops": False, "heads": 2})],
-            Settings("tanh", "graph", "softplus", True),
+            Settings("tanh", "graph", "softplus", True, radius=inf),
         ),
-        ([Gnn(False, {"add_self_loops": False})], Settings(None, "none", "softplus", True)),
-        ([Gnn(False, {}, TransformerConv), Mlp(nn.SiLU)], Settings("silu", "none", "softplus", True)),
+        (
+            [Gnn(False, {"add_self_loops": False}, topology="from_pos", edge_radius=0.5)],
+            Settings(None, "none", "softplus", True, radius=0.5),
+        ),
+        (
+            [Gnn(False, {}, TransformerConv), Mlp(nn.SiLU)],
+            Settings("silu", "none", "softplus", True, radius=inf),
+        ),
     ],
 )
 def test_settings_by_hand(models: list[Any], expected: Settings, tmp_path: Path) -> None:
     model = models[0] if len(models) == 1 else Sequence(models)
     path = checkpoint(tmp_path, pickled("task", {}, Algorithm(), model))
     assert completed(Settings(), path) == expected
-    given_ones = Settings("relu", "none", "biased_softplus", False, "agents", (1,), (0,), (2,))
+    given_ones = Settings("relu", "none", "biased_softplus", False, "agents", (1,), (0,), (2,), 3.0)
     assert completed(given_ones, path) == given_ones
 
 
@@ -137,7 +145,9 @@ def test_other_files_leave_the_options_to_the_user(config: bytes | None, tmp_pat
     [
         ([Gnn(gnn_kwargs={"negative_slope": 0.1})], "has gnn_kwargs 'negative_slope'"),
         ([Gnn(gnn_kwargs=[1])], "an unknown value"),
-        ([Gnn(topology="from_pos")], "has topology 'from_pos'"),
+        ([Gnn(topology="from_pos")], "the topology 'from_pos'"),
+        ([Gnn(topology="empty")], "the topology 'empty'"),
+        ([Gnn(), Gnn(topology="from_pos", edge_radius=0.5)], "different topologies"),
         ([Gnn(), Gnn(gnn_kwargs={"add_self_loops": False})], "only some of the actor's GNNs"),
         ([Gnn(), Mlp(nn.GELU)], "functions 'GELU', and a bundle has one of Tanh, "),
         ([Mlp(), Gnn(), Mlp(nn.ReLU)], "functions 'ReLU, Tanh'"),

@@ -46,6 +46,12 @@ quick: $(STAMP)  ## Run the tests that take half a minute together
 test: lint type  ## Run all checks: lint, types and the whole test suite
 	$(BIN)/python -m pytest --numprocesses 2
 
+test-pythons:  ## Test on every Python at hand what needs no torch; WHOLE=1: everything
+	$(PYTHON) tests/pythons.py $(if $(WHOLE),--whole)
+
+test-lowest:  ## Test the lowest versions that pyproject.toml allows; WHOLE=1: with torch
+	$(PYTHON) tests/pythons.py --lowest $(if $(WHOLE),--whole) 3.11
+
 lint: $(STAMP)  ## Check style and format with ruff
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

@@ -16,6 +16,8 @@ from typing import NamedTuple
 import pytest
 import typer.main
 
+from tests.helpers.light import missing
+
 # Imports nothing that imports torch: the process that distributes tests reads this file too.
 
 # Ray reads these once per process, at its first use. A head takes work only from processes that have its
@@ -33,6 +35,14 @@ MARKED = {
     "benchmarks": "benchmark",
 }
 KILLS_WORKERS = TESTS / "bench/parallel/test_fan_out.py"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--light", action="store_true", help="skip tests that need a missing large package")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    sys.meta_path.append(missing(config.option.light))
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -73,6 +83,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     slow = {item.path for item in items if any(map(item.get_closest_marker, {"slow", *MARKED.values()}))}
     items.sort(key=lambda item: (item.path != KILLS_WORKERS, item.path not in slow))
     gc.freeze()  # the collector need not scan imported objects again
+
+
+@pytest.fixture
+def needs_torch() -> None:
+    """For tests whose new processes import torch."""
+    import torch  # noqa: F401
 
 
 class Ran(NamedTuple):

@@ -56,6 +56,7 @@ def files(*folders: Path) -> Iterator[tuple[Path, ast.Module]]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("needs_torch")
 def test_every_module_imports_without_the_modules_of_unix() -> None:
     done = subprocess.run([sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Builds the wheel and tries it as a user would: a clean environment, outside of the repository.
+# Builds the wheel, or takes WHEEL, and tries it as a user would: a clean environment, outside of the repository.
 set -euo pipefail
 repository=$(cd "$(dirname "$0")/.." && pwd)
 python=${PYTHON:-python3}
@@ -7,7 +7,12 @@ python=${PYTHON:-python3}
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 
-"$python" -m build --wheel --outdir "$folder/dist" "$repository"
+if [[ -n ${WHEEL:-} ]]; then
+    mkdir "$folder/dist"
+    cp "$WHEEL" "$folder/dist"
+else
+    "$python" -m build --wheel --outdir "$folder/dist" "$repository"
+fi
 "$python" -m venv "$folder/venv"
 "$folder/venv/bin/python" -m pip install --quiet --no-compile --constraint "$repository/constraints.txt" "$folder"/dist/*.whl
 

@@ -6,7 +6,7 @@
 | `gymnasium.make(id)` | `team_env` |
 | `gymnasium.make_vec(id, num_envs)` | `team_vector_env` |
 
-All take n_agents=3, max_cycles and the task's options. PettingZoo has a registry from 1.27 on.
+All take n_agents=3, max_cycles and the task's options.
 """
 
 from __future__ import annotations
@@ -40,9 +40,8 @@ def register_tasks(tasks: Iterable[type[Task]]) -> None:
             vector_entry_point=f"{__name__}:team_vector_env",
             kwargs={"task": task.name},
         )
-        if hasattr(pettingzoo, "register"):
-            pettingzoo.register("aec", name, entry_point=f"{task.__module__}:env")
-            pettingzoo.register("parallel", name, entry_point=f"{task.__module__}:parallel_env")
+        pettingzoo.register("aec", name, entry_point=f"{task.__module__}:env")
+        pettingzoo.register("parallel", name, entry_point=f"{task.__module__}:parallel_env")
 
 
 def team_env(

@@ -16,6 +16,7 @@ def test_there_are_notebooks() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("needs_torch")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_ends_with_a_picture(path: Path) -> None:
     notebook = runpy.run_path(str(DOCS / "run_notebooks.py"))["run"](path)

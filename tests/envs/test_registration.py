@@ -19,9 +19,6 @@ from xmarl_envs.gymnasium_vector_env import TeamVectorEnv
 from xmarl_envs.registration import registered_id
 
 tasks = pytest.mark.parametrize("name", TASKS)
-in_pettingzoo = pytest.mark.skipif(
-    not hasattr(pettingzoo, "register"), reason="PettingZoo has a registry from 1.27 on"
-)
 
 
 def first_observation(name: str, n_agents: int, seed: int) -> NDArray[np.float32]:
@@ -37,7 +34,6 @@ def test_ids() -> None:
     }
 
 
-@in_pettingzoo
 @tasks
 def test_pettingzoo_makes_every_task(name: str) -> None:
     env: Any
@@ -53,7 +49,6 @@ def test_pettingzoo_makes_every_task(name: str) -> None:
     np.testing.assert_array_equal(np.stack([by_turns.observe(agent) for agent in by_turns.agents]), expected)
 
 
-@in_pettingzoo
 def test_pettingzoo_takes_its_own_spelling_of_the_id_too() -> None:
     env = pettingzoo.make("parallel", "xmarl/blind_navigation_v0")
     assert isinstance(env, TaskParallelEnv)

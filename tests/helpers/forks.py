@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from tests.helpers.zygote import Answer, Request
 
 ZYGOTE = Path(__file__).with_name("zygote.py")
@@ -19,6 +21,8 @@ Ask = Callable[[Request], Answer]
 @contextmanager
 def forks(python: Path | str = sys.executable) -> Iterator[Ask]:
     """Yields ask(request) -> answer, which runs in the environment of that Python."""
+    if not hasattr(os, "fork"):
+        pytest.skip("needs os.fork")
     with subprocess.Popen(
         [str(python), "-P", str(ZYGOTE)],
         stdin=subprocess.PIPE,

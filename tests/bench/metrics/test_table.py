@@ -68,6 +68,7 @@ print(json.dumps({
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("needs_torch")
 def test_a_new_metric_needs_only_a_row() -> None:
     """In its own process, because the models are created on import."""
     ran = subprocess.run([sys.executable, "-c", ADD_A_METRIC], cwd=ROOT, capture_output=True, check=True)

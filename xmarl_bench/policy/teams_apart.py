@@ -20,6 +20,7 @@ from xmarl_bench.policy.architecture import raw_width
 from xmarl_bench.policy.distribution import action_distribution
 from xmarl_bench.policy.interface import Policy
 from xmarl_bench.policy.network import GraphPolicy
+from xmarl_bench.reproducible import one_thread
 
 VECTOR = 32  # float32 numbers: two of a CPU's widest vectors, because torch unrolls its loops by two
 
@@ -63,6 +64,7 @@ class _AllAtOnce:
             layer.negative_slope,
         )
 
+    @one_thread()  # several threads would share out teams, and round by their number
     def __call__(self, observation: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor]:
         x = self.encoder(_filled(observation))
         message, receiver = self.message(x), self.receiver(x)

@@ -82,6 +82,7 @@ def test_sorting_by_click_and_by_keyboard(board: Path, browse: Browse) -> None:
     expect(heading).to_have_attribute("aria-sort", "ascending")
     ranking = page.locator("#ranking thead th").filter(has_text="explainer")
     ranking.get_by_role("button").click()
+    expect(ranking).to_have_attribute("aria-sort", re.compile("ascending|descending"))
     names = column(page, "ranking", 2)
     assert names == sorted(names)
 

@@ -15,7 +15,6 @@ timesteps, N agents.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -24,15 +23,12 @@ from numpy.typing import NDArray
 from xmarl_bench.checks.explainer_subject import SEED, ExplainerSubject
 from xmarl_bench.checks.findings import Failed, NotApplicable
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.explainer import fit_explainer, run_explainer
 from xmarl_bench.explain.sanity import mask_of_shuffled_weights
 from xmarl_bench.metrics import other_senders, rank_correlation
-from xmarl_bench.planted.families import planted
 from xmarl_bench.policy import existing_edges
 
 SAME: Final = 0.99  # rank correlation above which two masks count as equal
 DIGITS: Final = 6  # of mask values: smaller differences are rounding, and would break ties
-FAMILY, N_AGENTS, N_STEPS = "one-sender", 4, 20
 Floats = NDArray[np.float64]
 Edges = NDArray[np.bool_]
 
@@ -94,11 +90,8 @@ def sameness(mask: Floats, mean: Callable[[Floats], Floats]) -> float:
 
 def _differs(subject: ExplainerSubject, mean: Callable[[Floats], Floats], what: str) -> str:
     _mask(subject)
-    truth = planted(FAMILY, N_AGENTS, n_steps=N_STEPS, seed=SEED)
     try:
-        without_simulator = replace(subject.explainer, simulator=None)  # planted states have no episode
-        ready = fit_explainer(without_simulator, truth.policy, truth.reference, SEED)
-        mask = run_explainer(ready, truth.policy, truth.observations, SEED)
+        mask = subject.planted_mask
     except InputError as error:
         raise NotApplicable(f"it does not explain a planted policy: {error}") from None
     same = sameness(mask.numpy().astype(np.float64), mean)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -10,10 +10,18 @@ from torch import Tensor
 
 from xmarl_bench.checks.findings import NotApplicable
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.explainer import Explainer, mask_of_explainer, returned_by, run_explainer
+from xmarl_bench.explain.explainer import (
+    Explainer,
+    fit_explainer,
+    mask_of_explainer,
+    returned_by,
+    run_explainer,
+)
+from xmarl_bench.planted.families import planted
 from xmarl_bench.policy import Policy
 
 SEED: Final = 1
+FAMILY, N_AGENTS, N_STEPS = "one-sender", 4, 20  # of the planted policy
 
 
 @dataclass(frozen=True)
@@ -32,6 +40,14 @@ class ExplainerSubject:
     def mask(self) -> Tensor:
         """(S, N, N). Raises InputError if the explainer returned no valid mask."""
         return mask_of_explainer(self.explainer, self.returned, *self.observations.shape[:2])
+
+    @cached_property
+    def planted_mask(self) -> Tensor:
+        """(S, N, N) on a planted policy. Raises InputError if the explainer does not explain it."""
+        truth = planted(FAMILY, N_AGENTS, n_steps=N_STEPS, seed=SEED)
+        without_simulator = replace(self.explainer, simulator=None)  # planted states have no episode
+        ready = fit_explainer(without_simulator, truth.policy, truth.reference, SEED)
+        return run_explainer(ready, truth.policy, truth.observations, SEED)
 
     def mask_or_skip(self) -> Tensor:
         try:

@@ -69,9 +69,8 @@ class Enumerated:
         rng: np.random.Generator,
     ) -> Enumerated:
         """edges: (S, N, N); None: all. reference: (Q, N, D); None: measure zero only."""
-        n_steps, n_agents, _ = observations.shape
+        n_agents = observations.shape[1]
         others = None if edges is None else other_senders(edges)
-        rng.random((n_steps, n_agents, n_agents))  # unused; `resample` draws the numbers that follow
         change = change_table(policy, observations)
         messages = {Absence.ZERO: Table.of(others_table(change), others)}
         if isinstance(policy, GraphPolicy) and reference is not None:

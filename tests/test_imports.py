@@ -27,7 +27,7 @@ LAYERS = (
     ("policy",),
     ("entry", "rollout"),
     ("compare", "explain", "planted"),
-    ("board", "checks", "plugins"),
+    ("board", "checks", "dataset", "plugins"),
     ("scoring",),
     ("meta", "papers", "render", "submission"),
     ("cli",),

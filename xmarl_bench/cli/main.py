@@ -10,6 +10,7 @@ from xmarl_bench.cli.check import check
 from xmarl_bench.cli.compare import compare
 from xmarl_bench.cli.convert import convert
 from xmarl_bench.cli.evaluate import evaluate
+from xmarl_bench.cli.export import export
 from xmarl_bench.cli.list import list_
 from xmarl_bench.cli.new import new
 from xmarl_bench.cli.program import Version, run
@@ -33,6 +34,7 @@ app.command()(evaluate)
 app.command()(render)
 app.command()(compare)
 app.command()(convert)
+app.command()(export)
 app.command()(new)
 app.command()(study)
 app.command()(status)

@@ -22,7 +22,7 @@ from xmarl_bench.meta.right_ranking import ranking_mask, shapley_values, true_ma
 from xmarl_bench.metrics import over_absences
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.table import UNDER_ABSENCES, Direction, Group, by_name, metrics_of
-from xmarl_bench.planted.families import FAMILIES, planted
+from xmarl_bench.planted.families import FAMILIES, SIZES, planted
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
 from xmarl_bench.rollout.cell import spaced_timesteps
@@ -35,7 +35,6 @@ METRICS: Final = tuple(
 )
 OVER_ABSENCES: Final = ("message_fidelity", "smallest_message_fidelity")
 MODEL_OF: Final = dict(zip(UNDER_ABSENCES, Absence, strict=True))  # all others are under zero
-SIZES: Final = (4, 6, 8)
 Row = dict[str, float]
 
 

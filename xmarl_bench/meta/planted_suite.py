@@ -17,12 +17,11 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.metrics.table import ORDER, UNDER_ABSENCES
-from xmarl_bench.planted.families import CODES, FAMILIES, Planted, planted
+from xmarl_bench.planted.families import CODES, FAMILIES, SIZES, Planted, planted
 from xmarl_bench.planted.truth import auroc, average_precision
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.scoring.states import States
 
-SIZES = (4, 6, 8)  # default team sizes
 ALWAYS_SCORED = ("random", "all-ones")
 
 

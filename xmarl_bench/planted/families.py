@@ -29,6 +29,7 @@ from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.policy import Architecture, GraphPolicy, build_policy
 
 CODES: Final = 10  # the largest team
+SIZES: Final = (4, 6, 8)  # teams by default
 # Entries of an observation.
 CONTENT, SPEAKER, DECOY, WALL, CODE, NAMED = 0, 1, 2, 3, 4, 4 + CODES
 OBS_DIM: Final = NAMED + CODES

@@ -68,7 +68,7 @@ larger: $(STAMP)  ## Score policies of five agents in teams of eight and ten
 board: $(STAMP)  ## Bring leaderboard/ and the documents made of it up to date: hours
 	$(MAKE) score ALL=1 OUT=leaderboard
 	$(MAKE) larger OUT=leaderboard
-	for each in ranking scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
+	for each in ranking findings scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
 
 bench: $(STAMP)  ## Measure tasks, explainers and trainer beside those of others
 	$(BIN)/python -m pytest --benchmark-only tests/benchmarks

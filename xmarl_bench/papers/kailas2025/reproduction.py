@@ -1,9 +1,9 @@
-"""Writes docs/findings.md: which of the paper's conclusions hold, in sentences with their numbers.
+"""Writes docs/reproduction.md: which of the paper's conclusions hold, in sentences with their numbers.
 
-    python -m xmarl_bench.papers.kailas2025.findings study/main study/training study/zero-shot
+    python -m xmarl_bench.papers.kailas2025.reproduction study/main study/training study/zero-shot
 
-Reads results.json of each folder, and writes docs/findings.json, a small file that is committed, and
-docs/findings.md, which is a function of it. No number or verdict is typed by hand.
+Reads results.json of each folder, and writes docs/reproduction.json, a small file that is committed, and
+docs/reproduction.md, which is a function of it. No number or verdict is typed by hand.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from xmarl_bench.records.files import write_atomically, write_json
 from xmarl_bench.rollout.cell import Sampling
 
 Json = dict[str, Any]
-TEMPLATE = Path(__file__).with_name("findings.md.jinja")
-DATA, PAGE = "findings.json", "findings.md"
+TEMPLATE = Path(__file__).with_name("reproduction.md.jinja")
+DATA, PAGE = "reproduction.json", "reproduction.md"
 HEADLINES = [f"main-{name}" for name in (
     "graphmask-least", "gnn-best", "attention-over-gnn-with", "attention-fid-plus", "attention-fid-minus",
     "attention-gef", "attention-fid-delta", "graphmask-fid-minus", "graphmask-fid-plus", "graphmask-gef",
@@ -200,7 +200,7 @@ def read_results(folder: Path) -> Json:
 
 def main(
     folders: Annotated[list[Path], typer.Argument(help="Folders of studies, in the order of the page.")],
-    out: Annotated[Path, typer.Option(help="Folder of findings.json and findings.md.")] = Path("docs"),
+    out: Annotated[Path, typer.Option(help="Folder of reproduction.json and reproduction.md.")] = Path("docs"),
 ) -> None:
     """Write the findings of the studies."""
     findings = [findings_of(read_results(folder)) for folder in folders]

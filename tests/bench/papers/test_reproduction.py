@@ -1,4 +1,4 @@
-"""docs/findings.md is made from its data, and its data is from the shipped policies."""
+"""docs/reproduction.md is made from its data, and its data is from the shipped policies."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.helpers.made_samples import made_samples
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.errors import InputError
 from xmarl_bench.papers.kailas2025.claims import ATTENTION, GNN, Cell, Claim, beats
-from xmarl_bench.papers.kailas2025.findings import (
+from xmarl_bench.papers.kailas2025.reproduction import (
     DATA,
     PAGE,
     command,
@@ -39,7 +39,7 @@ def findings() -> list[dict[str, Any]]:
 
 
 def test_the_page_is_up_to_date() -> None:
-    """If it fails, run the studies again, then python -m xmarl_bench.papers.kailas2025.findings."""
+    """If it fails, run the studies again, then python -m xmarl_bench.papers.kailas2025.reproduction."""
     assert (DOCS / PAGE).read_text(encoding="utf-8") == page_of(findings())
 
 

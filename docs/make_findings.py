@@ -1,0 +1,310 @@
+"""Writes docs/findings.md and its pictures: six answers, in sentences made from leaderboard/leaderboard.json.
+
+    .venv/bin/python docs/make_findings.py
+
+No number or comparison on the page is typed by hand. Run it after the board was built;
+tests/docs/test_findings_page.py fails until then.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from matplotlib.axes import Axes
+from xmarl_envs import TASKS
+
+from xmarl_bench.board.scores import Scores
+from xmarl_bench.metrics.absence import Absence
+from xmarl_bench.metrics.statistics import Difference, over_runs
+from xmarl_bench.metrics.table import ORDER, UNDER_ABSENCES
+
+ROOT = Path(__file__).parent.parent
+# Okabe and Ito's colours, told apart by colour-blind people.
+BLUE, ORANGE, GREEN, PINK, GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b0b0b0"
+STYLES = (BLUE, "-"), (ORANGE, "--"), (GREEN, ":"), (PINK, "-.")
+CONTROLS = "random", "all-ones", "initial-attention", "nearest"
+N_KINDS = 3 * len(TASKS) * 2  # teams of 3, 4, 5; with and without the term
+MODEL_OF = dict(zip(UNDER_ABSENCES, Absence, strict=True))
+
+
+def interval(difference: Difference) -> str:
+    """The value with its 95 % interval."""
+    assert difference.value is not None
+    if difference.interval is None:
+        return f"{difference.value:+.2f}"
+    low, high = difference.interval
+    return f"{difference.value:+.2f} [{low:+.2f}, {high:+.2f}]"
+
+
+def more(difference: Difference, up: str, down: str, open_: str) -> str:
+    """Which of three words the interval allows."""
+    assert difference.value is not None
+    return open_ if difference.holds_zero else up if difference.value > 0 else down
+
+
+def of(scores: Scores, a: str, b: str) -> str:
+    """Message fidelity of a less that of b, with its interval."""
+    return interval(scores.difference(ORDER, a, b))
+
+
+def dots(axis: Axes, values: Sequence[float], y: int, colour: str) -> None:
+    """A line of the picture: a dot for each policy, and a bar at the mean."""
+    axis.plot(values, [y] * len(values), "o", color=colour, alpha=0.35, markersize=4, markeredgewidth=0)
+    axis.plot(np.nanmean(values), y, "|", color=colour, markersize=13, markeredgewidth=2.5)
+
+
+@dataclass(frozen=True)
+class Finding:
+    name: str  # of its picture
+    title: str
+    text: str
+    draw: Callable[[Axes], None]
+    alt: str
+
+
+def who_leads(scores: Scores) -> Finding:
+    best, *others = scores.tied
+    text = (
+        f"Of {len(scores.explainers)} explainers, {best} ranks the messages best: message fidelity "
+        f"{scores.mean(ORDER, best):.2f} over {len(scores.policies)} policies, where 0 is a random ranking "
+        f"and 1 the best one. "
+    )
+    text += f"It does not differ significantly from {', '.join(others)}." if others else "It leads surely."
+    below = next((name for name in scores.explainers if name not in scores.tied), None)
+    if below is not None:
+        text += f" The first that is significantly worse is {below}: {of(scores, best, below)} for {best}."
+
+    def draw(axis: Axes) -> None:
+        names = [*CONTROLS, *reversed(scores.explainers)]
+        for y, name in enumerate(names):
+            dots(axis, scores.of_policies(ORDER, name), y, GREY if name in CONTROLS else BLUE)
+        axis.set_yticks(range(len(names)), names, fontsize=8)
+        axis.axvline(0, color="black", linewidth=0.6)
+        axis.set_xlabel("message fidelity: a dot for each policy, a bar for their mean; controls are grey")
+
+    title = "Several explainers lead, and none leads surely" if others else f"{best} leads surely"
+    return Finding("leaders", title, text, draw, "Message fidelity of every explainer and four controls")
+
+
+def fid_delta_misleads(scores: Scores) -> Finding:
+    best = scores.tied[0]
+    lead = scores.difference("fid_delta", "all-ones", best)
+    text = (
+        f"The mask of ones says that everybody influences everybody. Its FidDelta is "
+        f"{scores.mean('fid_delta', 'all-ones'):.2f}, that of {best} {scores.mean('fid_delta', best):.2f}: "
+        f"{interval(lead)} for the mask that explains nothing. FidDelta rewards a mask for what it keeps, "
+        f"whatever it knows. In message fidelity the mask of ones has {scores.mean(ORDER, 'all-ones'):.2f}."
+    )
+
+    def draw(axis: Axes) -> None:
+        for name in [*scores.explainers, *CONTROLS]:
+            at = scores.mean("fid_delta", name), scores.mean(ORDER, name)
+            axis.plot(*at, "o", color=ORANGE if name in CONTROLS else BLUE)
+            if name in CONTROLS or name in (best, scores.explainers[-1]):
+                axis.annotate(name, at, xytext=(5, 4), textcoords="offset points", fontsize=8)
+        axis.margins(0.15)
+        axis.set_xlabel("FidDelta; controls are orange")
+        axis.set_ylabel("message fidelity")
+
+    title = more(
+        lead, "A high FidDelta proves nothing", *2 * ["FidDelta tells the best from the mask of ones"]
+    )
+    return Finding("fid-delta", title, text, draw, "FidDelta against message fidelity")
+
+
+def absence_decides(scores: Scores) -> Finding:
+    first = {
+        metric: max(scores.explainers, key=lambda name, metric=metric: scores.mean(metric, name))  # type: ignore[misc]
+        for metric in UNDER_ABSENCES
+    }
+    said = ", ".join(
+        f"{name} under `{MODEL_OF[metric]}` ({scores.mean(metric, name):.2f})"
+        for metric, name in first.items()
+    )
+    three = np.array([policy["n_agents"] == 3 for policy in scores.policies])
+    zero, mean = (
+        float(np.mean(np.array(scores.of_policies(metric, "occlusion"))[three]))
+        for metric in UNDER_ABSENCES[:2]
+    )
+    text = (
+        f"Something has to stand in for a message that is removed. First is {said}. With three agents the "
+        f"score under `zero` is occlusion's own definition: it has {zero:.2f} there by construction, and "
+        f"{mean:.2f} under `mean`. So the leaderboard averages over all four, and shows the smallest."
+    )
+
+    def draw(axis: Axes) -> None:
+        styles = dict(zip(dict.fromkeys(first.values()), STYLES, strict=False))
+        for name in scores.explainers:
+            values = [scores.mean(metric, name) for metric in UNDER_ABSENCES]
+            colour, dash = styles.get(name, (GREY, "-"))
+            axis.plot(values, f"o{dash}", color=colour, label=name if name in styles else None)
+        axis.set_xticks(range(len(MODEL_OF)), list(MODEL_OF.values()))
+        axis.set_ylabel("budgeted fidelity")
+        axis.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
+
+    several = "What stands in for a missing message decides who is first"
+    title = several if len(set(first.values())) > 1 else f"{said} is first under all absence models"
+    return Finding("absence", title, text, draw, "Budgeted fidelity under four absence models")
+
+
+def attention_is_learnt(scores: Scores) -> Finding:
+    controls = "initial-attention", "nearest"
+    before, near = (scores.difference(ORDER, "attention", each) for each in controls)
+    learnt = more(before, "was learnt", "is worse after training", "may come from its initialisation")
+    beyond = more(near, "is more than", "is less than", "may be no more than")
+    text = (
+        f"Attention has {scores.mean(ORDER, 'attention'):.2f}. The attention of the same network before its "
+        f"training has {scores.mean(ORDER, controls[0]):.2f}: {interval(before)} for the trained one. The "
+        f"nearest agent, which never looks at the policy, has {scores.mean(ORDER, controls[1]):.2f}: "
+        f"{interval(near)}. So what attention says {learnt}, and {beyond} who stands near whom."
+    )
+
+    def draw(axis: Axes) -> None:
+        series = zip(("attention", *controls), "oD^", (BLUE, ORANGE, GREY), strict=True)
+        for name, marker, colour in series:
+            axis.plot(scores.of_policies(ORDER, name), marker, color=colour, label=name)
+        names = [re.sub("-residual|-seed0", "", policy["name"]) for policy in scores.policies]
+        axis.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+        axis.axhline(0, color="black", linewidth=0.6)
+        axis.set_ylabel("message fidelity")
+        axis.legend(fontsize=8, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
+
+    titles = "Attention tells what training put there", "Training makes attention worse"
+    title = more(before, *titles, "Attention may be our initialisation")
+    return Finding("attention", title, text, draw, "Attention beside two controls that saw no training")
+
+
+def defaults_fail(scores: Scores) -> Finding:
+    chance = scores.difference(ORDER, "gnn_explainer", "random")
+    compared = more(
+        chance, "better than a random mask", "worse than a random mask", "no better than a random mask"
+    )
+    text = (
+        f"GNNExplainer with torch_geometric's defaults has {scores.mean(ORDER, 'gnn_explainer'):.2f} and is "
+        f"{compared}: {interval(chance)}. Settings that fit policies add "
+        f"{of(scores, 'gnn_explainer-tuned', 'gnn_explainer')}. So the fault is that of defaults made for "
+        f"other graphs, not of the method. GraphMask asked about messages alone, an agent always hearing "
+        f"itself, changes by {of(scores, 'graphmask-messages', 'graphmask')}."
+    )
+
+    def draw(axis: Axes) -> None:
+        names = ["random", "graphmask-messages", "graphmask", "gnn_explainer-tuned", "gnn_explainer"]
+        for y, name in enumerate(names):
+            dots(axis, scores.of_policies(ORDER, name), y, GREY if name == "random" else BLUE)
+        axis.set_yticks(range(len(names)), names, fontsize=8)
+        axis.axvline(0, color="black", linewidth=0.6)
+        axis.set_xlabel("message fidelity: a dot for each policy, a bar for their mean")
+
+    title = f"GNNExplainer's defaults are {compared.replace('a random mask', 'chance')}"
+    return Finding("defaults", title, text, draw, "GNNExplainer and GraphMask in several forms")
+
+
+def regulariser(scores: Scores) -> Finding:
+    pairs = _with_and_without(scores)
+    names = [policy["name"] for policy in scores.policies]
+    value = dict(zip(names, scores.of_policies(ORDER, "attention"), strict=True))
+    gain = over_runs([[value[b["name"]]] for _, b in pairs], [[value[a["name"]]] for a, _ in pairs])
+    entropy, success = (
+        over_runs(*([[pair[side]["metrics"][metric]["value"]] for pair in pairs] for side in (1, 0)))
+        for metric in ("attention_entropy", "success_rate")
+    )
+    said = more(
+        gain, "makes attention truer", "makes attention less true", "may or may not make attention truer"
+    )
+    text = (
+        f"Attention-entropy minimisation {said}: {interval(gain)} message fidelity of attention, over "
+        f"{len(pairs)} pairs of training runs of the same cell and seed. Entropy changes by "
+        f"{interval(entropy)} nats, success by {interval(success)}."
+    )
+
+    def draw(axis: Axes) -> None:
+        for a, b in pairs:
+            ends = value[a["name"]], value[b["name"]]
+            axis.plot(ends, "o-", color=BLUE if ends[1] >= ends[0] else ORANGE)
+            label = f"{a['task'].split('_')[1]} N = {a['n_agents']}"
+            axis.annotate(label, (1, ends[1]), xytext=(7, -3), textcoords="offset points", fontsize=8)
+        axis.set_xticks([0, 1], ["without the term", "with it"])
+        axis.set_xlim(-0.2, 1.7)
+        axis.set_ylabel("message fidelity of attention")
+
+    title = f"Minimising attention entropy {said}"
+    return Finding("entropy", title, text, draw, "Message fidelity of attention without and with the term")
+
+
+def _with_and_without(scores: Scores) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Policies of the same cell and training seed, without the term and with it."""
+    return [
+        (a, b)
+        for a in scores.policies
+        for b in scores.policies
+        if not a["attention_entropy"] and b["attention_entropy"]
+        and all(a[key] == b[key] for key in ("task", "n_agents", "training_seed"))
+    ]  # fmt: skip
+
+
+FINDINGS = who_leads, fid_delta_misleads, absence_decides, attention_is_learnt, defaults_fail, regulariser
+
+
+def undecided(scores: Scores) -> list[str]:
+    """What the policies of the board cannot answer."""
+    families = sorted({policy["name"].split("-")[2] for policy in scores.policies})
+    kinds = Counter(
+        (each["task"], each["n_agents"], bool(each["attention_entropy"])) for each in scores.policies
+    )
+    most = max(kinds.values())
+    lines = [
+        f"- **Runs.** {len(scores.policies)} policies in {len(kinds)} of {N_KINDS} cells, with and without "
+        f"the term, at most {most} training run{'s' * (most > 1)} each. How far runs of "
+        f"one cell spread is " + ("not known." if most == 1 else "known for some cells only."),
+        f"- **Families.** All policies are of the family `{'`, `'.join(families)}`.",
+        "- **One dose.** Each task has one weight of the entropy term. How the answer depends on it is open.",
+    ]
+    if "paper" not in families:
+        lines[1] += " Whether the answers hold for the paper's own architecture is open."
+    return lines
+
+
+def wrapped(text: str, indent: str = "") -> str:
+    return "\n".join(textwrap.wrap(text, 118, subsequent_indent=indent, break_on_hyphens=False))
+
+
+def page(findings: Sequence[Finding], scores: Scores) -> str:
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    environment.filters["wrapped"] = wrapped
+    template = environment.from_string((ROOT / "docs" / "findings.md.jinja").read_text(encoding="utf-8"))
+    return template.render(findings=findings, undecided=undecided(scores))
+
+
+def draw(finding: Finding, path: Path) -> None:
+    tall = 5.2 if finding.name == "leaders" else 3.6
+    figure, axis = plt.subplots(figsize=(7.5, tall), layout="constrained")
+    finding.draw(axis)
+    axis.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def made() -> tuple[str, list[Finding]]:
+    """The page and its findings, from the board as it is."""
+    scores = Scores.of(json.loads((ROOT / "leaderboard" / "leaderboard.json").read_bytes()))
+    findings = [find(scores) for find in FINDINGS]
+    return page(findings, scores), findings
+
+
+if __name__ == "__main__":
+    made_page, found = made()
+    for each in found:
+        draw(each, ROOT / "docs" / f"findings-{each.name}.png")
+    (ROOT / "docs" / "findings.md").write_text(made_page, encoding="utf-8", newline="\n")

@@ -1,0 +1,60 @@
+"""A built board's values by metric, explainer and policy, and paired differences between explainers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from xmarl_bench.metrics.statistics import Difference, over_runs
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The board's values: metric -> explainer or control -> policy."""
+
+    policies: list[dict[str, Any]]  # those that the ranking over all tasks compares
+    explainers: list[str]  # ranked, best first
+    tied: list[str]  # without a significant difference to the best
+    values: dict[str, dict[str, dict[str, float]]]
+
+    @classmethod
+    def of(cls, board: dict[str, Any]) -> Scores:
+        (ranking,) = (
+            each for each in board["rankings"] if each["task"] is None and each["oracle"] == "enumerated"
+        )
+        ranked = [row for row in ranking["rows"] if row["rank"] is not None]
+        compared = {(each["name"], each["n_agents"]) for each in ranking["policies"]}
+        policies: list[dict[str, Any]] = []
+        values: dict[str, dict[str, dict[str, float]]] = {}
+        for table in board["tables"]:
+            for policy in table["policies"]:
+                if (policy["name"], table["n_agents"]) not in compared or table["oracle"] != "enumerated":
+                    continue
+                policies.append({**policy, "task": table["task"], "n_agents": table["n_agents"]})
+                for row in policy["rows"]:
+                    for metric, summary in row["metrics"].items():
+                        if summary is not None and summary["value"] is not None:
+                            of_metric = values.setdefault(metric, {})
+                            of_metric.setdefault(row["explainer"], {})[policy["name"]] = summary["value"]
+        return cls(
+            policies,
+            [row["explainer"] for row in ranked],
+            [row["explainer"] for row in ranked if row["tie_group"] == 1],
+            values,
+        )
+
+    def of_policies(self, metric: str, name: str) -> list[float]:
+        """One value for each policy; NaN if it was not measured."""
+        found = self.values.get(metric, {}).get(name, {})
+        return [found.get(policy["name"], float("nan")) for policy in self.policies]
+
+    def mean(self, metric: str, name: str) -> float:
+        return float(np.nanmean(self.of_policies(metric, name)))
+
+    def difference(self, metric: str, a: str, b: str) -> Difference:
+        """Mean over policies of a less b."""
+        values = zip(self.of_policies(metric, a), self.of_policies(metric, b), strict=True)
+        pairs = [(x, y) for x, y in values if not np.isnan([x, y]).any()]
+        return over_runs([[x] for x, _ in pairs], [[y] for _, y in pairs])

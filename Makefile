@@ -17,7 +17,7 @@ OUT ?= results
 ifdef ALL
 OTHERS := gnn_explainer gnn_explainer-tuned graphmask graphmask-pyg influence integrated_gradients shapley
 OTHERS += $(addsuffix -messages,gnn_explainer gnn_explainer-tuned graphmask integrated_gradients shapley)
-SCORE_OPTIONS ?= --policy finished --explainer all $(OTHERS:%=--no-behaviour %)
+SCORE_OPTIONS ?= --submitter xmarl-bench --policy finished --explainer all $(OTHERS:%=--no-behaviour %)
 else
 OTHERS := gnn_explainer graphmask
 SCORE_OPTIONS ?= --policy default --explainer attention $(OTHERS:%=--explainer %) $(OTHERS:%=--no-behaviour %)
@@ -59,15 +59,19 @@ type: $(STAMP)  ## Check types of packages and tests with mypy
 	$(BIN)/mypy
 
 # Policies of five agents in larger teams, at some timesteps of each episode: 2^N rows are tried for each agent.
-LARGER_OPTIONS ?= --policy finished --explainer all --no-behaviour all --agents 5 --team 8 --team 10 \
+LARGER_OPTIONS ?= --submitter xmarl-bench --policy finished --explainer all --no-behaviour all --agents 5 --team 8 --team 10 \
 	--task blind_navigation_v0 --task blind_discovery_v0 --timesteps 40
 
 larger: $(STAMP)  ## Score policies of five agents in teams of eight and ten
 	$(BIN)/xmarl-bench score --jobs 2 --out $(OUT) $(LARGER_OPTIONS)
 
-board: $(STAMP)  ## Bring leaderboard/ and the documents made of it up to date: hours
+SIGNED ?= xmarl-bench
+
+board: $(STAMP)  ## Bring leaderboard/ and the documents made of it up to date, and verify every entry: hours
 	$(MAKE) score ALL=1 OUT=leaderboard
 	$(MAKE) larger OUT=leaderboard
+	$(BIN)/xmarl-bench verify leaderboard --tier full --by $(SIGNED) --resume --jobs 2
+	$(BIN)/xmarl-bench board build leaderboard
 	for each in ranking findings scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
 
 bench: $(STAMP)  ## Measure tasks, explainers and trainer beside those of others

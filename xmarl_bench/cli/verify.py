@@ -50,6 +50,10 @@ def verify(
         Path | None,
         typer.Option(help="Folder for the signed entries; by default in place. Required for bundles."),
     ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Skip entries that --by has signed at this tier already."),
+    ] = False,
     jobs: Jobs = None,
     backend: Backend = "loky",
     address: Address = None,
@@ -60,26 +64,29 @@ def verify(
     Numbers must be equal bit for bit on the platform and versions of the entry, and within the published
     tolerance elsewhere. Tier fresh measures how much better the entry is on the public episodes than on
     fresh ones: it records the difference and passes either way. Exit code 0: all passed; 1: something did
-    not; 2: something could not be run. --jobs verifies several entries in parallel.
+    not; 2: something could not be run. --by signs each entry as soon as it has passed: after an interruption,
+    the same command with --resume goes on. Entries of one policy by our explainers are scored together.
     """
     import sys
-    from functools import partial
 
     from xmarl_bench.cli import tables
     from xmarl_bench.entry.file import write_entry
     from xmarl_bench.errors import InputError, unknown
-    from xmarl_bench.parallel.fan_out import Failure, fan_out
+    from xmarl_bench.parallel.fan_out import Failure
     from xmarl_bench.parallel.workers import Workers
+    from xmarl_bench.submission.batch import Unit, verify_all
     from xmarl_bench.submission.checking import check
     from xmarl_bench.submission.limits import Limits
-    from xmarl_bench.submission.verification import Options, Tier, lines, signed, verify_one
+    from xmarl_bench.submission.verification import Options, Tier, is_signed, lines, signed
 
     if tier not in list(Tier):
         raise unknown("tier", tier, Tier)
+    if resume and by is None:
+        raise InputError("--resume skips the entries that --by has signed: give --by.")
     limits = Limits(cpu_seconds=cpu_seconds, memory_bytes=int(memory * 2**30))
     options = Options(Tier(tier), episodes, seed, explainer, trust_code, limits, fresh_from)
     workers = Workers(jobs, backend, address)
-    code, units = 0, []
+    code, places, units, n_skipped = 0, [], [], 0
     for path in paths:
         try:
             checked = check(path)
@@ -93,25 +100,30 @@ def verify(
             print(f"{path}: {finding}", file=sys.stderr if as_json else sys.stdout)
         if checked.findings:
             code = max(code, 1)
-        else:
-            units += [(path, file, checked.part(file)) for file in checked.entries]
-    work = [(part, file) for _, file, part in units]
-    outcomes = dict(fan_out(partial(verify_one, options=options), work, workers=workers, progress="verify"))
-    verdicts = []
-    for k, (path, file, _) in enumerate(units):
-        verdict = outcomes[k]
+            continue
+        folder = out or checked.folder
+        for file, entry in checked.entries.items():
+            if resume and by is not None and is_signed(entry, by, folder, options):
+                n_skipped += 1
+            else:
+                places.append((path, folder))
+                units.append(Unit(checked.part(file), file))
+    if n_skipped:
+        print(f"{n_skipped} entries are signed by {by} already, {len(units)} are left.", file=sys.stderr)
+    verdicts = {}
+    for k, verdict in verify_all(units, options, workers):
+        (path, folder), file = places[k], units[k].file
         if isinstance(verdict, Failure):
-            print(f"xmarl-bench: {verdict.error}", file=sys.stderr)
+            print(f"xmarl-bench: {path}: {file}: {verdict.error}", file=sys.stderr)
             code = 2
             continue
-        verdicts.append(verdict.record(str(path), file))
-        if not as_json:
-            print("\n".join(lines(path, file, verdict)))
+        verdicts[k] = verdict.record(str(path), file)
         if verdict.findings:
             code = max(code, 1)
         elif by is not None:
-            folder = out or (path if path.is_dir() else path.parent)
             write_entry(folder, signed(verdict, by, folder))
+        if not as_json:
+            print("\n".join(lines(path, file, verdict)), flush=True)
     if as_json:
-        tables.print_json(verdicts)
+        tables.print_json([verdicts[k] for k in sorted(verdicts)])
     raise SystemExit(code)

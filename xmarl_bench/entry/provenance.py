@@ -14,6 +14,8 @@ from xmarl_bench.entry.schema import Provenance
 from xmarl_bench.origin.installed import package_version
 
 PACKAGES = ("loky", "numpy", "pettingzoo", "pydantic", "pymunk", "safetensors", "torch", "torch-geometric")
+# What a sweep and `board build` write: an interrupted sweep goes on with unchanged sources.
+DERIVED = (":(top,exclude)leaderboard", ":(top,exclude)docs", ":(top,exclude)README.md")
 
 
 def now() -> str:
@@ -23,7 +25,7 @@ def now() -> str:
 def provenance(started: str, jobs: int) -> Provenance:
     import torch
 
-    commit, dirty = _commit()
+    commit, dirty = commit_of_harness()
     return Provenance(
         harness_version=package_version("xmarl-bench") or "unknown",
         commit=commit,
@@ -55,13 +57,17 @@ def _cpu() -> str:
 
 
 @cache
-def _commit() -> tuple[str | None, bool | None]:
-    """Commit of this source tree and whether it has changes; (None, None) for an installed package."""
-    here = Path(__file__).resolve()
+def commit_of_harness() -> tuple[str | None, bool | None]:
+    """Commit of this source tree, and whether sources have changed; (None, None) for an installed package."""
+    return commit_of(Path(__file__).resolve())
+
+
+def commit_of(here: Path) -> tuple[str | None, bool | None]:
+    """The commit that a source file belongs to, and whether sources of its repository have changed."""
     # An installed copy may lie inside another git repository without being part of it.
     if _git(here.parent, "ls-files", "--error-unmatch", here.name) is None:
         return None, None
-    changes = _git(here.parent, "status", "--porcelain", "--untracked-files=no", "--", ":/")
+    changes = _git(here.parent, "status", "--porcelain", "--untracked-files=no", "--", ":/", *DERIVED)
     return _git(here.parent, "rev-parse", "HEAD"), None if changes is None else bool(changes)
 
 

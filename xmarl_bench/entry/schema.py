@@ -306,6 +306,8 @@ class Verification(Record):
     by: Text | None = None
     when: Text | None = None  # ISO 8601, UTC
     harness_version: Text | None = None
+    commit: Text | None = left_out()  # of the harness that verified
+    dirty: bool | None = left_out()  # whether its sources had changes
     packages: Annotated[dict[Text, Text], Field(max_length=100)] | None = None
     machine: Text | None = None
     episodes: Count = 0  # played and explained again, in all cells

@@ -43,6 +43,11 @@ class Checked:
     def is_bundle(self) -> bool:
         return self.path.suffix == ".zip" or (self.path / MANIFEST).is_file()
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the entries, unless it is a bundle."""
+        return folder_of_entries(self.path) if self.path.is_dir() else self.path.parent
+
     def part(self, file: str) -> Checked:
         """The part that a worker needs to verify one of the entries."""
         entry = self.entries[file]

@@ -62,21 +62,31 @@ def rerun(
 
     Raises InputError if policy, explainer and cells do not fit, or if the explainer fails.
     """
+    requests = requests_of(entry, policy, card, explainer)
+    if episodes is None:  # with a temporary cache, so that everything is computed
+        return compared(entry, list(entries_of(score_requests(requests))))
     result = Rerun()
-    for k, cell in enumerate(entry.results):
-        sampling = Sampling(
-            episodes=entry.protocol.episodes,
-            timesteps=entry.protocol.timesteps,
-            max_cycles=cell.max_cycles,
-            seed=entry.explainer.seed,
-        )
+    for k, (cell, request) in enumerate(zip(entry.results, requests, strict=True)):
+        chosen = sorted(rng.permutation(len(cell.episodes))[:episodes].tolist())
+        _spot(result, f"results.{k}", cell, request, chosen)
+    return result
+
+
+def requests_of(entry: Entry, policy: Policy, card: PolicyCard, explainer: Explainer) -> list[Request]:
+    """What scores each cell of the entry again. Raises InputError if policy and cells do not fit."""
+    protocol, requests = entry.protocol, []
+    for cell in entry.results:
+        sampling = Sampling(protocol.episodes, protocol.timesteps, cell.max_cycles, entry.explainer.seed)
         cells = (Cell(cell.task, cell.n_agents),)
-        request = Request(policy, card, explainer, cells, sampling, cell.behaviour_episodes)
-        if episodes is None:
-            _full(result, f"results.{k}", cell, request)
-        else:
-            chosen = sorted(rng.permutation(len(cell.episodes))[:episodes].tolist())
-            _spot(result, f"results.{k}", cell, request, chosen)
+        requests.append(Request(policy, card, explainer, cells, sampling, cell.behaviour_episodes))
+    return requests
+
+
+def compared(entry: Entry, again: Sequence[Entry]) -> Rerun:
+    """The entry beside its new scores, one for each of `requests_of`."""
+    result = Rerun()
+    for k, (cell, scored) in enumerate(zip(entry.results, again, strict=True)):
+        _compare(result, f"results.{k}", cell, scored.results[0])
     return result
 
 
@@ -120,9 +130,7 @@ def _newer(cell: CellResult) -> set[str]:
     return {name for name in OPTIONAL if lacks(cell, name)}
 
 
-def _full(result: Rerun, where: str, cell: CellResult, request: Request) -> None:
-    (entry,) = entries_of(score_requests([request]))  # with a temporary cache, so that everything is computed
-    (again,) = entry.results
+def _compare(result: Rerun, where: str, cell: CellResult, again: CellResult) -> None:
     pairs, newer = enumerate(zip(cell.episodes, again.episodes, strict=True)), _newer(cell)
     result.episodes += [list(_rows(f"{where}.episodes.{k}", row, other, newer)) for k, (row, other) in pairs]
     measured = cell.not_measured.keys() == again.not_measured.keys() - newer

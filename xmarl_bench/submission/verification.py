@@ -17,7 +17,7 @@ import numpy as np
 from xmarl_bench.entry.file import read_entry
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.protocol import PROTOCOL
-from xmarl_bench.entry.provenance import now
+from xmarl_bench.entry.provenance import commit_of_harness, now
 from xmarl_bench.entry.schema import Entry, ExplainerRecord, Verification
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
@@ -35,7 +35,7 @@ from xmarl_bench.submission.consistency import CLOSE
 from xmarl_bench.submission.fresh import Fresh, score_fresh
 from xmarl_bench.submission.limits import Limits
 from xmarl_bench.submission.recompute import Difference
-from xmarl_bench.submission.rerun import record_findings, rerun
+from xmarl_bench.submission.rerun import Rerun, record_findings, rerun
 from xmarl_bench.submission.sandbox import Sandbox
 from xmarl_bench.submission.tolerance import AGGREGATES, Platform, agrees, disagreeing, is_same_platform
 
@@ -119,6 +119,7 @@ class Verdict:
         if not by.strip():
             raise InputError("the name that signs the entry is empty: give one with --by.")
         before, here = before or self.entry.verification, Platform.here()
+        commit, dirty = commit_of_harness()
         fresh = before.fresh if self.fresh is None else self.fresh.block(by)
         if self.fresh is not None and before.status != "unverified":
             return before.model_copy(update={"fresh": fresh})
@@ -128,6 +129,8 @@ class Verdict:
                 "by": by,
                 "when": now(),
                 "harness_version": package_version("xmarl-bench") or "unknown",
+                "commit": commit,
+                "dirty": dirty,
                 "packages": here.packages,
                 "machine": f"{here.machine}, {here.cpu}, {here.cpu_capability}",
                 "episodes": self.episodes,
@@ -167,26 +170,39 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
             return recomputed
     rng = np.random.default_rng(options.seed)
     with ExitStack() as stack:
-        policy, card = _policy(checked, entry)
+        policy, card = policy_of(checked, entry)
         explainer, findings = _explainer(entry, options, stack)
-        if card.weights_sha256 != entry.policy.weights_sha256:
-            findings.append(f"the installed policy {entry.policy.name!r} has other weights than the entry's.")
+        findings += other_weights(entry, card)
         if findings:
             return Verdict(entry, options.tier, bitwise, 0, None, tuple(findings))
         if options.fresh_from is not None:
             return replace(recomputed, fresh=score_fresh(entry, policy, card, explainer, options.fresh_from))
         episodes = None if options.tier is Tier.full else options.episodes
         again = rerun(entry, policy, card, explainer, episodes=episodes, rng=rng)
+    return verdict_of(entry, options.tier, again)
+
+
+def verdict_of(entry: Entry, tier: Tier, again: Rerun) -> Verdict:
+    """The verdict on an entry that was run again."""
+    bitwise = is_same_platform(entry)
     apart = disagreeing(again.episodes, bitwise=bitwise)
     tolerance = None if bitwise else AGGREGATES
     apart += [each for each in again.aggregates if not agrees(each, tolerance)]
     found = (*again.findings, *_sentences(apart, "rerun gives"))
-    return Verdict(entry, options.tier, bitwise, len(again.episodes), _largest(again.differences), found)
+    return Verdict(entry, tier, bitwise, len(again.episodes), _largest(again.differences), found)
 
 
-def verify_one(unit: tuple[Checked, str], options: Options) -> Verdict:
-    """`verify` for a unit of work."""
-    return verify(*unit, options)
+def is_signed(entry: Entry, by: str, folder: Path, options: Options) -> bool:
+    """Whether the folder holds the entry with a block of this tier that `by` signed."""
+    if not (folder / entry.file_name).is_file():
+        return False
+    there = read_entry(folder / entry.file_name)
+    block, fresh = there.verification, there.verification.fresh
+    if there.entry_id != entry.entry_id:
+        return False
+    if options.tier is Tier.fresh:
+        return fresh is not None and (fresh.by, fresh.value) == (by, options.fresh_from)
+    return (block.by, block.status) == (by, STATUS[options.tier])
 
 
 def _sentences(apart: list[Difference], source: str) -> tuple[str, ...]:
@@ -201,18 +217,24 @@ def _largest(differences: list[Difference]) -> float | None:
     return largest if np.isfinite(largest) else None
 
 
-def _policy(checked: Checked, entry: Entry) -> tuple[Policy, PolicyCard]:
+def policy_of(checked: Checked, entry: Entry) -> tuple[Policy, PolicyCard]:
     """The policy of the bundle, or else the installed one of that name."""
     name = entry.policy.name
     return checked.load_policy(name) if name in checked.policies else load_policy(find_policy(name))
 
 
+def other_weights(entry: Entry, card: PolicyCard) -> list[str]:
+    """A finding if the policy at hand is not the entry's."""
+    if card.weights_sha256 == entry.policy.weights_sha256:
+        return []
+    return [f"the installed policy {entry.policy.name!r} has other weights than the entry's."]
+
+
 def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[Explainer, list[str]]:
     """The explainer to run, in a sandbox unless it is ours, and where it disagrees with the entry."""
     name = entry.explainer.name if options.explainer is None else options.explainer
-    if options.explainer is None and _is_ours(name):
-        ours = find_explainer(name)
-        return ours, list(record_findings(entry.explainer, explainer_record(ours, 0)))
+    if options.explainer is None and is_ours(name):
+        return our_explainer(entry)
     if not options.trust_code:
         raise InputError(
             f"explainer {shown(name)} is third-party code: read it, then add --trust-code to run it in a "
@@ -232,7 +254,13 @@ def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[Explai
     return explainer, list(record_findings(entry.explainer, declared))
 
 
-def _is_ours(name: str) -> bool:
+def our_explainer(entry: Entry) -> tuple[Explainer, list[str]]:
+    """The shipped explainer of the entry's name, and where it disagrees with the entry."""
+    ours = find_explainer(entry.explainer.name)
+    return ours, list(record_findings(entry.explainer, explainer_record(ours, 0)))
+
+
+def is_ours(name: str) -> bool:
     """Whether this distribution registers the explainer. Loads no third-party package."""
     if name in CONTROLS:
         return True

@@ -21,7 +21,7 @@ ALLOWED = {
 
 # Layers of xmarl_bench, lowest first: a package imports only from lower layers or from itself.
 LAYERS = (
-    ("errors",),
+    ("counted", "errors"),
     ("metrics", "origin", "parallel", "records", "reproducible"),
     ("tasks",),
     ("policy",),

@@ -20,6 +20,7 @@ from xmarl_bench.checks.explainer_subject import SEED, ExplainerSubject
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
 from xmarl_bench.checks.peak_memory import peak_memory
 from xmarl_bench.checks.traces import global_settings, random_states, traces_of
+from xmarl_bench.counted import counted
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import (
     Explainer,
@@ -199,7 +200,7 @@ def time_per_timestep(subject: ExplainerSubject) -> str:
     started = time.process_time()
     subject.explain(x)
     each = (time.process_time() - started) * 1000 / n_steps
-    measured = f"{each:.3g} ms of CPU, over {n_steps} timesteps"
+    measured = f"{each:.3g} ms of CPU, over {counted(n_steps, 'timestep')}"
     if each > SLOW_MS and not subject.explainer.slow:
         raise Failed(f"{measured}, without being declared slow: declare slow = True.")
     return measured
@@ -211,7 +212,7 @@ def memory(subject: ExplainerSubject) -> str:
     megabytes = peak_memory(lambda: subject.explain(x))
     if megabytes is None:
         raise NotApplicable("this system does not report a process's peak memory.")
-    measured = f"{megabytes:.0f} MB more at its peak, on {len(x)} timesteps"
+    measured = f"{megabytes:.0f} MB more at its peak, on {counted(len(x), 'timestep')}"
     if megabytes > MAX_MEMORY_MB:
         raise Failed(f"{measured}, over {MAX_MEMORY_MB:.0f}: explain fewer timesteps at once.")
     return measured

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
+from xmarl_bench.counted import counted
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import action_change
 from xmarl_bench.explain.fitting import FIRST_FIT_SEED, fit_states
@@ -72,7 +73,8 @@ def weights(subject: PolicySubject) -> str:
     bad = [name for name, each in subject.policy.named_parameters() if not bool(torch.isfinite(each).all())]
     if bad:
         raise Failed(
-            f"{len(bad)} tensors hold NaN or infinity, the first is {bad[0]!r}: train or save them again."
+            f"NaN or infinity in {counted(len(bad), 'tensor')}, the first is {bad[0]!r}: train or save the "
+            f"policy again."
         )
     return f"{sum(each.numel() for each in subject.policy.parameters())} parameters, all finite"
 
@@ -137,7 +139,7 @@ def blindness(subject: PolicySubject) -> str:
 def receivers(subject: PolicySubject) -> str:
     for x in subject.observations:
         check_receivers(subject.policy, x)
-    return f"{len(subject.observations)} states, on random masks"
+    return f"{counted(len(subject.observations), 'state')}, on random masks"
 
 
 def attends(subject: PolicySubject) -> str:
@@ -185,7 +187,7 @@ def success(subject: PolicySubject) -> str:
     difference = over_units([ours], [theirs])
     measured = (
         f"{'success' if told else 'reward'} {np.mean(ours):.2f}, random actions {np.mean(theirs):.2f}, "
-        f"{len(ours)} episodes"
+        f"{counted(len(ours), 'episode')}"
     )
     if difference.interval is None or difference.interval[0] <= 0:
         raise Failed(f"{measured}: not more than chance, train it further.")

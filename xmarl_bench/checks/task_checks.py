@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
+from xmarl_bench.counted import counted
 from xmarl_bench.explain.fitting import FIRST_FIT_SEED
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode, Floats, play
@@ -59,7 +60,7 @@ def spaces(subject: TaskSubject) -> str:
     task = subject.task
     kind = "entries" if task.continuous_actions else "choices"
     action = f"{task.action_width} {kind} of an action"
-    return f"{task.n_agents} agents, {task.obs_dim} entries of an observation, {action}"
+    return f"{counted(task.n_agents, 'agent')}, {task.obs_dim} entries of an observation, {action}"
 
 
 def ends(subject: TaskSubject) -> str:

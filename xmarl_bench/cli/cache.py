@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from xmarl_bench.cli.options import AsJson, CacheFolder
+from xmarl_bench.counted import counted
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER, Cache
 
 cache = typer.Typer(help="Show the size of the cache, or empty it.", invoke_without_command=True)
@@ -24,7 +25,8 @@ def show(context: typer.Context, folder: CacheFolder = DEFAULT_FOLDER, as_json: 
     if as_json:
         print_json({"folder": str(folder), **asdict(size)})
     else:
-        print(f"{folder}: {size.pieces} pieces, {size.size / 1e6:.1f} MB, {size.of_version} of this version.")
+        pieces, megabytes = counted(size.pieces, "piece"), size.size / 1e6
+        print(f"{folder}: {pieces}, {megabytes:.1f} MB, {size.of_version} of this version.")
 
 
 @cache.command()
@@ -33,4 +35,4 @@ def clear(folder: CacheFolder = DEFAULT_FOLDER) -> None:
     known = Cache(folder)
     size = known.size("")
     known.clear()
-    print(f"{folder}: {size.pieces} pieces deleted, {size.size / 1e6:.1f} MB.")
+    print(f"{folder}: {counted(size.pieces, 'piece')} deleted, {size.size / 1e6:.1f} MB.")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from xmarl_bench.cli.options import AsJson, TrustCode
+from xmarl_bench.counted import counted
 
 if TYPE_CHECKING:
     from xmarl_bench.checks import Finding
@@ -68,7 +69,7 @@ def check_policy(
     cell = Cell(given or own, card.n_agents if agents is None else agents)
     check_fit(card, cell)
     findings = run(network, cell, timesteps=timesteps, episodes=episodes)
-    report(f"policy {card.name} with {cell.n_agents} agents", findings, as_json=as_json)
+    report(f"policy {card.name} with {counted(cell.n_agents, 'agent')}", findings, as_json=as_json)
 
 
 @check.command("task")
@@ -85,25 +86,33 @@ def check_task(
     from xmarl_bench.tasks.sources import open_task
 
     cell = Cell(open_task(name, trust_code=trust_code).name, agents)
-    report(f"task {cell.task} with {cell.n_agents} agents", run(cell, episodes=episodes), as_json=as_json)
+    report(
+        f"task {cell.task} with {counted(cell.n_agents, 'agent')}",
+        run(cell, episodes=episodes),
+        as_json=as_json,
+    )
 
 
 def report(subject: str, findings: Iterable[Finding], *, as_json: bool) -> None:
     """Print the findings on `subject`. Raises typer.Exit(1) if a check failed."""
-    from rich.table import Table
-
-    from xmarl_bench.cli.tables import console, print_json
+    from xmarl_bench.cli.fitted_table import print_table
+    from xmarl_bench.cli.tables import print_json
 
     found = list(findings)
     failed = sum(finding.passed is False for finding in found)
     if as_json:
         print_json({"subject": subject, "passed": not failed, "findings": [each.record() for each in found]})
     else:
-        table = Table("check", "", "", title=subject, title_justify="left", show_lines=False)
-        words = {True: "[green]pass[/green]", False: "[red]FAIL[/red]", None: "[dim]n/a[/dim]"}
-        for each in found:
-            table.add_row(each.check, words[each.passed], each.message)
-        console().print(table)
-        print(f"{subject}: {failed} of {len(found)} checks failed." if failed else f"{subject}: all passed.")
+        words = {True: "pass", False: "FAIL", None: "n/a"}
+        rows = [
+            {"check": each.check, "result": words[each.passed], "finding": each.message} for each in found
+        ]
+        styles = {"pass": "green", "FAIL": "red", "n/a": "dim"}
+        print_table(rows, title=subject, keep=("result", "finding"), styles=styles)
+        print(
+            f"{subject}: {failed} of {counted(len(found), 'check')} failed."
+            if failed
+            else f"{subject}: all passed."
+        )
     if failed:
         raise typer.Exit(1)

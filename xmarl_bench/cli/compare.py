@@ -57,13 +57,14 @@ def compare(
 
 
 def _print(comparison: Comparison) -> None:
-    from xmarl_bench.cli import tables
+    from xmarl_bench.cli.fitted_table import print_table
+    from xmarl_bench.counted import counted
 
     n = len(comparison.states)
-    print(f"{comparison.metric}, {comparison.better} is better, on {n} policies and cells:")
+    print(f"{comparison.metric}, {comparison.better} is better, on {counted(n, 'policy')} and cells:")
     for states in comparison.states:
         print(f"  {states}")
-    tables.print_rows(
+    print_table(
         [
             {
                 "explainer": each.explainer,
@@ -74,9 +75,10 @@ def _print(comparison: Comparison) -> None:
                 "tie group": each.tie_group,
             }
             for each in comparison.standings
-        ]
+        ],
+        keep=("mean", "95 %", "tie group"),
     )
-    tables.print_rows(
+    print_table(
         [
             {
                 "pair": f"{pair.first} - {pair.second}",
@@ -87,7 +89,8 @@ def _print(comparison: Comparison) -> None:
                 "Holm": "-" if pair.p_holm is None else f"{pair.p_holm:.2g}",
             }
             for pair in comparison.pairs
-        ]
+        ],
+        keep=("difference", "95 %", "Holm"),
     )
 
 

@@ -9,7 +9,7 @@ import typer
 
 from xmarl_bench.cli.options import TrustCode
 
-BENCHMARL = "With --from benchmarl: what it does not tell without the config.pkl of its experiment"
+BENCHMARL = "With --from benchmarl, without its config.pkl"
 
 
 def convert(
@@ -51,8 +51,9 @@ def convert(
     loops: Annotated[
         Literal["layer", "graph", "none"] | None,
         typer.Option(
-            help="What lets agents hear themselves: the layer's add_self_loops (True by default), only "
-            "BenchMARL's self_loops (graph), or nothing.",
+            metavar="HOW",
+            help="What lets agents hear themselves: the layer's add_self_loops (layer; True by default), "
+            "only BenchMARL's self_loops (graph), or nothing (none).",
             rich_help_panel=BENCHMARL,
         ),
     ] = None,
@@ -63,7 +64,7 @@ def convert(
     tanh_normal: Annotated[
         bool | None,
         typer.Option(
-            "--use-tanh-normal/--no-use-tanh-normal",
+            "--tanh-normal/--no-tanh-normal",
             help="Its use_tanh_normal; True by default.",
             rich_help_panel=BENCHMARL,
         ),
@@ -104,7 +105,8 @@ def convert(
     """Convert weights saved by other tools to a policy bundle. Executes nothing in the file."""
     from pydantic import ValidationError
 
-    from xmarl_bench.cli import tables
+    from xmarl_bench.cli.fitted_table import print_table
+    from xmarl_bench.counted import counted
     from xmarl_bench.errors import InputError
     from xmarl_bench.policy import build_policy
     from xmarl_bench.policy import convert as reading
@@ -131,7 +133,7 @@ def convert(
     )
     if source is None and settings != Settings():
         raise InputError(
-            "--activation, --loops, --scale-mapping, --use-tanh-normal, --group, --inputs, --position, "
+            "--activation, --loops, --scale-mapping, --tanh-normal, --group, --inputs, --position, "
             "--velocity and --radius are for --from benchmarl: give it, or leave them out."
         )
     if source is not None and not (architecture is None and key_map is None):
@@ -141,10 +143,10 @@ def convert(
     tensors = reading.read_tensors(weights)
     record = None if architecture is None else reading.read_architecture(architecture)
     if out is None:
-        tables.print_rows([{"tensor": key, "shape": str(tuple(t.shape))} for key, t in tensors.items()])
+        print_table([{"tensor": key, "shape": str(tuple(t.shape))} for key, t in tensors.items()])
         if record is not None:
             expected = weight_shapes(record).items()
-            tables.print_rows([{"expected tensor": key, "shape": str(shape)} for key, shape in expected])
+            print_table([{"expected tensor": key, "shape": str(shape)} for key, shape in expected])
         return
     if task is None:
         raise InputError("a bundle needs the task that its policy was trained for: give --task.")
@@ -171,7 +173,7 @@ def convert(
     check_fit(card, Cell(task, agents))
     write_bundle(out, card, data)
     left_out = f", {len(tensors) - len(ours)} dropped" if source is None else f" from {source}'s actor"
-    print(f"{out}: policy {card.name!r} of {len(ours)} tensors{left_out}.")
+    print(f"{out}: policy {card.name!r} of {counted(len(ours), 'tensor')}{left_out}.")
 
 
 def _entries(text: str) -> tuple[int, ...]:

@@ -41,6 +41,7 @@ def evaluate(
 ) -> None:
     """Measure how well policies do their task, with messages between agents and without."""
     from xmarl_bench.cli import tables
+    from xmarl_bench.cli.fitted_table import print_table
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.rollout.cell import Sampling
     from xmarl_bench.rollout.evaluation import evaluate as run
@@ -65,4 +66,4 @@ def evaluate(
     if markdown:
         print(tables.markdown(rows))
     else:
-        tables.print_rows(rows)
+        print_table(rows, keep=("success",))

@@ -20,6 +20,7 @@ class Kind(StrEnum):
 def list_(kind: Annotated[Kind, typer.Argument(help="What to list.")], as_json: AsJson = False) -> None:
     """List tasks, policies or explainers."""
     from xmarl_bench.cli import tables
+    from xmarl_bench.cli.fitted_table import print_table
     from xmarl_bench.errors import InputError
 
     failures: Sequence[InputError] = ()
@@ -32,6 +33,6 @@ def list_(kind: Annotated[Kind, typer.Argument(help="What to list.")], as_json: 
     if as_json:
         tables.print_json(rows)
     elif rows or not failures:
-        tables.print_rows(rows)
+        print_table(rows, keep=("summary", "kind", "success"))
     if failures:  # after the rows: a plugin that fails to load does not hide others
         raise InputError(" And ".join(map(str, failures)))

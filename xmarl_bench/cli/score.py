@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from xmarl_bench.cli.options import (
+    HOW_MUCH,
+    WHAT,
+    WHERE,
     Address,
     Agents,
     Backend,
@@ -21,8 +24,10 @@ from xmarl_bench.cli.options import (
     Policies,
     Resume,
     Seed,
+    Submitter,
     Tasks,
     Teams,
+    Timesteps,
     TrustCode,
 )
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
@@ -40,26 +45,33 @@ def score(
     policy: Policies = ["default"],  # noqa: B006
     explainer: Explainers = ["all"],  # noqa: B006
     episodes: Episodes = 50,
-    timesteps: Annotated[
-        int | None,
-        typer.Option(help="At most so many evenly spaced timesteps of each episode; all by default."),
-    ] = None,
+    timesteps: Timesteps = None,
     slow_episodes: Annotated[
-        int | None, typer.Option(help="Episodes for explainers that declare themselves slow.")
+        int | None,
+        typer.Option(help="Episodes for explainers that declare themselves slow.", rich_help_panel=HOW_MUCH),
     ] = None,
     slow_timesteps: Annotated[
-        int | None, typer.Option(help="Timesteps per episode for explainers that declare themselves slow.")
+        int | None,
+        typer.Option(
+            help="Timesteps per episode for explainers that declare themselves slow.",
+            rich_help_panel=HOW_MUCH,
+        ),
     ] = None,
     behaviour_episodes: Annotated[
         int | None,
         typer.Option(
             help="Episodes that the team also plays on the explanation; by default all, or none for "
-            "explainers that declare themselves slow."
+            "explainers that declare themselves slow.",
+            rich_help_panel=HOW_MUCH,
         ),
     ] = None,
     no_behaviour: Annotated[
         list[str],
-        typer.Option(help="Explainer without episodes played on its masks, or 'all'. Repeatable."),
+        typer.Option(
+            metavar="NAME",
+            help="Explainer without episodes played on its masks, or 'all'. Repeatable.",
+            rich_help_panel=HOW_MUCH,
+        ),
     ] = [],  # noqa: B006
     max_cycles: MaxCycles = None,
     seed: Seed = 0,
@@ -70,13 +82,16 @@ def score(
     parallel_episodes: Parallel = 50,
     cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
-    submitter: Annotated[str | None, typer.Option(help="Name of the submitter, for the entries.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for entries/ and the page.")] = Path("results"),
+    submitter: Submitter = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder for entries/ and the page.", rich_help_panel=WHERE)
+    ] = Path("results"),
     suite: Annotated[
         Literal["tasks", "planted"],
         typer.Option(
             help="`planted`: policies whose relevant messages are known by construction, instead of the "
-            "tasks; uses --explainer, --seed and --out only."
+            "tasks; uses --explainer, --seed and --out only.",
+            rich_help_panel=WHAT,
         ),
     ] = "tasks",
 ) -> None:
@@ -91,6 +106,7 @@ def score(
 
     from xmarl_bench.board import build_board
     from xmarl_bench.cli import tables
+    from xmarl_bench.counted import counted
     from xmarl_bench.entry.file import read_entries, write_entry
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.files import locked, remove_leftovers
@@ -146,21 +162,20 @@ def score(
                 board = build_board(out)
     if entries:
         tables.print_scores(entries, explainers)
-        print(
-            f"{len(entries)} entries in {out / 'entries'}, leaderboard in {board} and {out / 'index.html'}."
-        )
+        where = f"{out / 'entries'}, leaderboard in {board} and {out / 'index.html'}"
+        print(f"{counted(len(entries), 'entry')} in {where}.")
     tables.exit_for_failures(failed, len(requests))
 
 
 def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> None:
-    from xmarl_bench.cli import tables
+    from xmarl_bench.cli.fitted_table import print_table
     from xmarl_bench.meta.planted_suite import SIZES, agreement, by_family, means_of, record, score_planted
     from xmarl_bench.records.files import write_json
 
     found = score_planted(explainers, seed=seed)
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "planted.json", record(found, seed))
-    tables.print_rows(
+    print_table(
         [
             {
                 "explainer": name,

@@ -12,11 +12,14 @@ from xmarl_bench.cli.options import (
     Address,
     Backend,
     CacheFolder,
+    Episodes,
     Jobs,
     MaxCycles,
     Policies,
     Resume,
     Seed,
+    Submitter,
+    Timesteps,
 )
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
 
@@ -42,11 +45,8 @@ def study(
         list[str],
         typer.Option("--explainer", help="Further explainer, not compared by the ledgers. Repeatable."),
     ] = [],  # noqa: B006
-    episodes: Annotated[int, typer.Option(help="Episodes per policy.")] = 50,
-    timesteps: Annotated[
-        int | None,
-        typer.Option(help="At most so many evenly spaced timesteps of each episode; all by default."),
-    ] = None,
+    episodes: Episodes = 50,
+    timesteps: Timesteps = None,
     max_cycles: MaxCycles = None,
     behaviour: Annotated[
         list[str],
@@ -62,7 +62,7 @@ def study(
     address: Address = None,
     cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
-    submitter: Annotated[str | None, typer.Option(help="Name of the submitter, for the entries.")] = None,
+    submitter: Submitter = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write; study/NAME or study/NAME-quick by default.")
     ] = None,
@@ -73,6 +73,7 @@ def study(
     missing from the study. Exit code 1: something failed.
     """
     from xmarl_bench.cli import tables
+    from xmarl_bench.counted import counted
     from xmarl_bench.papers.kailas2025.figures import check_matplotlib
     from xmarl_bench.papers.kailas2025.output import write_study
     from xmarl_bench.papers.kailas2025.plan import QUICK, STUDIES, plan, select_study_explainers
@@ -115,9 +116,9 @@ def study(
         data = StudyData(chosen, tuple(explainer.name for explainer in explainers), pairs, Samples.of(pairs))
         results = write_study(folder, data, figures=figures)
     verdicts = [claim["verdict"] for claim in results["ledger"]]
-    counted = ", ".join(f"{verdicts.count(each)} {each}" for each in sorted(set(verdicts)))
+    by_verdict = ", ".join(f"{verdicts.count(each)} {each}" for each in sorted(set(verdicts)))
     for absent in results["missing"]:
         print(f"missing: {absent}")
-    print(f"{len(verdicts)} statements of the paper: {counted}.")
-    print(f"{len(pairs)} entries; results.json, tables/, figures/ and tables.html in {folder}.")
+    print(f"{counted(len(verdicts), 'statement')} of the paper: {by_verdict}.")
+    print(f"{counted(len(pairs), 'entry')}; results.json, tables/, figures/ and tables.html in {folder}.")
     tables.exit_for_failures([each for each in outcomes if isinstance(each, Failed)], len(requests))

@@ -33,6 +33,7 @@ def submit(
     """
     import tempfile
 
+    from xmarl_bench.counted import counted
     from xmarl_bench.entry.file import read_entry
     from xmarl_bench.errors import InputError
     from xmarl_bench.policy.bundle import load_card
@@ -65,4 +66,4 @@ def submit(
             print(f"{out}: {finding}")
         raise SystemExit(1)
     write_bundle(out, files)
-    print(f"{out}: valid, {len(submitted)} entries. How to submit it: leaderboard/README.md.")
+    print(f"{out}: valid, {counted(len(submitted), 'entry')}. How to submit it: leaderboard/README.md.")

@@ -9,11 +9,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from rich.console import Console
-from rich.table import Table
 from xmarl_envs import TASKS
 
 from xmarl_bench.board import ORDER, board_of
+from xmarl_bench.cli.fitted_table import cell, print_tables
+from xmarl_bench.counted import counted
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import origin_of_explainer
@@ -34,7 +34,6 @@ _POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_se
 SCORE_COLUMNS = {
     metric.short: metric.name for metric in columns_of(*OF_EXPLAINERS) if metric.short is not None
 }
-NAMES_WIDTH, INTERVAL_WIDTH = 26, 9  # terminal columns, for "integrated_gradients" and "0.95 0.97"
 
 
 def tasks() -> list[Row]:
@@ -129,7 +128,7 @@ def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Perform
                 "agents": each.n_agents,
                 "lambda": card.attention_entropy,
                 **{metric.short or metric.title: both(metric) for metric in columns_of(Group.TASK)},
-                "messages help": _cell(each.messages_help),
+                "messages help": cell(each.messages_help),
                 "attention entropy": "-"
                 if each.attention_entropy is None
                 else f"{each.attention_entropy:.2f}",
@@ -138,79 +137,41 @@ def performance_rows(cards: Sequence[PolicyCard], performances: Sequence[Perform
     return rows
 
 
-def print_rows(rows: Sequence[Row]) -> None:
-    if not rows:
-        print("none")
-        return
-    table = Table(*(key.replace("_", " ") for key in rows[0]))
-    for row in rows:
-        table.add_row(*(_cell(value) for value in row.values()))
-    console().print(table)
-
-
 def markdown(rows: Sequence[Row]) -> str:
     if not rows:
         return ""
     lines = [
         list(rows[0]),
         ["---"] * len(rows[0]),
-        *([_cell(value) for value in row.values()] for row in rows),
+        *([cell(value) for value in row.values()] for row in rows),
     ]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _that_fit(width: int) -> dict[str, str]:
-    """As many of SCORE_COLUMNS as fit into a line of this width, at least the first."""
-    left = width - NAMES_WIDTH - INTERVAL_WIDTH - 7
-    fitting: dict[str, str] = {}
-    for heading, name in SCORE_COLUMNS.items():
-        left -= max(len(heading), len("-0.000")) + 3
-        if left < 0 and fitting:
-            break
-        fitting[heading] = name
-    return fitting
-
-
 def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
     """A table per policy, in the board's order, then costs and a note on slow explainers' fewer states."""
-    terminal = console()
-    fitting = _that_fit(terminal.width)
-    order, *others = fitting
     board = board_of([(entry.file_name, entry) for entry in entries])
+    shown: list[tuple[str | None, list[Row]]] = []
     for table in board["tables"]:
         protocol = board["protocols"][table["protocol"]]
-        steps = (
-            "every timestep"
-            if protocol["timesteps"] is None
-            else f"{protocol['timesteps']} timesteps of each"
-        )
-        states = f"{table['task']}, {table['n_agents']} agents: {protocol['episodes']} episodes, {steps}"
+        timesteps = protocol["timesteps"]
+        steps = "every timestep" if timesteps is None else f"{counted(timesteps, 'timestep')} of each"
+        episodes = counted(protocol["episodes"], "episode")
+        states = f"{table['task']}, {counted(table['n_agents'], 'agent')}: {episodes}, {steps}"
         if table["oracle"] == "sampled":
             states += ", oracle sampled"
         for group in table["policies"]:
             trained = group["trained_n_agents"]
-            zero_shot = "" if trained == table["n_agents"] else f", trained with {trained} agents"
+            zero_shot = "" if trained == table["n_agents"] else f", trained with {counted(trained, 'agent')}"
             gate = "" if group["gate"] is None else f"\nnot ranked: {group['gate']}"
-            shown = Table(
-                "explainer", title=f"{group['name']}{zero_shot}\n{states}{gate}", title_justify="left"
-            )
-            for heading in (order, "95 %", *others):
-                shown.add_column(heading, justify="right")
-            for row in group["rows"]:
-                metrics = row["metrics"]
-                by = metrics[ORDER["by"]]
-                low_high = None if by is None else by["interval"]
-                first, *rest = [_number(metrics[name]) for name in fitting.values()]
-                interval = "-" if low_high is None else f"{low_high[0]:.2f} {low_high[1]:.2f}"
-                name = row["explainer"] + (" (control)" if row["control"] else "")
-                shown.add_row(name, first, interval, *rest)
-            terminal.print(shown)
-    if len(fitting) < len(SCORE_COLUMNS):
-        print("A wider terminal shows more metrics; index.html and the entries have all.")
+            title = f"{group['name']}{zero_shot}\n{states}{gate}"
+            shown.append((title, [_score_row(row) for row in group["rows"]]))
+    print_tables(shown)
+    print("index.html and the entries have all metrics.")
     for entry in entries:
         cost, timesteps = entry.cost, entry.cost.explained_timesteps
         print(
-            f"{entry.policy.name}, {entry.explainer.name}: {timesteps} timesteps explained in "
+            f"{entry.policy.name}, {entry.explainer.name}: {counted(timesteps, 'timestep')} explained in "
             f"{cost.explain_seconds_per_timestep * timesteps:.1f} s, rolled out in "
             f"{cost.behaviour_seconds:.1f} s; oracle and controls, once per policy, "
             f"{cost.shared_seconds_per_timestep * timesteps:.1f} s."
@@ -219,11 +180,25 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
     limited = [entry.protocol for entry in entries if entry.explainer.name in slow]
     if limited and any(entry.protocol != limited[0] for entry in entries):
         few = limited[0]
-        steps = "" if few.timesteps is None else f", at most {few.timesteps} timesteps of each"
+        steps = "" if few.timesteps is None else f", at most {counted(few.timesteps, 'timestep')} of each"
         print(
-            f"Slow explainers ({', '.join(slow)}) had fewer states: {few.episodes} episodes{steps}."
+            f"Slow explainers ({', '.join(slow)}) had fewer states: "
+            f"{counted(few.episodes, 'episode')}{steps}."
             f" The others were scored on these, for comparison, and on all states."
         )
+
+
+def _score_row(row: dict[str, Any]) -> Row:
+    order, *others = SCORE_COLUMNS
+    metrics = row["metrics"]
+    by = metrics[ORDER["by"]]
+    interval = None if by is None else by["interval"]
+    return {
+        "explainer": row["explainer"] + (" (control)" if row["control"] else ""),
+        order: _number(metrics[SCORE_COLUMNS[order]]),
+        "95 %": None if interval is None else "{:.2f} {:.2f}".format(*interval),
+        **{heading: _number(metrics[SCORE_COLUMNS[heading]]) for heading in others},
+    }
 
 
 def _number(summary: dict[str, Any] | None) -> str:
@@ -231,20 +206,6 @@ def _number(summary: dict[str, Any] | None) -> str:
         return "-"
     text = "NaN" if summary["value"] is None else f"{summary['value']:.3f}"
     return text + (f" ({summary['n_nan']} NaN)" if summary["n_nan"] and summary["value"] is not None else "")
-
-
-def _cell(value: object) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def console() -> Console:
-    """The console; wide without a terminal, so that logs do not break lines."""
-    terminal = Console()
-    return terminal if terminal.is_terminal else Console(width=160)
 
 
 def print_json(value: Any) -> None:
@@ -301,7 +262,10 @@ def run_rows(records: Sequence[tuple[RunRecord, Progress]]) -> list[Row]:
 def print_runs(rows: Sequence[Row]) -> None:
     for row in rows:
         (done, pieces), (complete, entries) = row["pieces"], row["entries"]
-        print(f"{row['folder']}: {row['state']}, {done} of {pieces} pieces, {complete} of {entries} entries.")
+        print(
+            f"{row['folder']}: {row['state']}, {done} of {counted(pieces, 'piece')}, "
+            f"{complete} of {counted(entries, 'entry')}."
+        )
         print(f"  {row['command']} ({row['started']})")
         for name, (done, pieces) in row["explainers"].items():
             if done < pieces:

@@ -19,6 +19,7 @@ def validate(paths: Paths) -> None:
     """
     import sys
 
+    from xmarl_bench.counted import counted
     from xmarl_bench.errors import InputError
     from xmarl_bench.submission.checking import check
 
@@ -35,5 +36,5 @@ def validate(paths: Paths) -> None:
         if checked.findings:
             code = max(code, 1)
         else:
-            print(f"{path}: valid, {len(checked.entries)} entries.")
+            print(f"{path}: valid, {counted(len(checked.entries), 'entry')}.")
     raise SystemExit(code)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+from xmarl_bench.counted import counted
 from xmarl_bench.entry.file import folder_of_entries, read_entries, read_entry
 from xmarl_bench.entry.schema import CellResult, Entry
 from xmarl_bench.errors import InputError, unknown
@@ -85,7 +86,7 @@ def blocks_of(entries: Sequence[Entry]) -> Blocks:
     keys: dict[str, bytes] = {}
     for entry in entries:
         for cell in entry.results:
-            name = f"{entry.policy.name}, {cell.task}, {cell.n_agents} agents"
+            name = f"{entry.policy.name}, {cell.task}, {counted(cell.n_agents, 'agent')}"
             key = _states(entry, cell)
             if keys.setdefault(name, key) != key:
                 raise InputError(

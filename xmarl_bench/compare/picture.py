@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xmarl_bench.compare.comparison import Comparison
+from xmarl_bench.counted import counted
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.statistics import Difference
 from xmarl_bench.records.files import write_atomically
@@ -64,7 +65,7 @@ def draw(comparisons: Sequence[Comparison], path: Path) -> None:
                 panel.set_ylim(n_rows - 0.5, -0.5)  # the first on top
                 panel.spines[["top", "right"]].set_visible(False)
         n = len(comparisons[0].states)
-        over = f"{n} policies" if n > 1 else "the episodes of one policy"
+        over = counted(n, "policy") if n > 1 else "the episodes of one policy"
         figure.supxlabel(f"95 % intervals over {over}", fontsize=9)
         data = io.BytesIO()
         metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)

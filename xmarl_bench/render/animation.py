@@ -16,6 +16,7 @@ from rich.console import Console
 from xmarl_envs.canvas import HEADER, SIZE
 from xmarl_envs.render import FPS, Renderer
 
+from xmarl_bench.counted import counted
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.parallel.fan_out import in_order
@@ -112,7 +113,7 @@ def _explain(
         return {}
     explained = [cycle for cycle in cycles if cycle < recording.track.cycles]
     console = Console(stderr=True, quiet=not progress)
-    with console.status(f"{explainer.name} explains {len(explained)} steps"):
+    with console.status(f"{explainer.name} explains {counted(len(explained), 'step')}"):
         return dict(zip(explained, recording.explain(explainer, explained), strict=True))
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
+from xmarl_bench.counted import counted
 from xmarl_bench.entry.file import folder_of_entries, parse_entry
 from xmarl_bench.entry.schema import Entry, PolicyRecord, Verification
 from xmarl_bench.errors import InputError
@@ -113,7 +114,7 @@ def _add(checked: Checked, file: str, findings: Iterator[str]) -> None:
     listed = list(findings)
     checked.findings += [f"{file}: {each}" for each in listed[:MAX_FINDINGS]]
     if len(listed) > MAX_FINDINGS:
-        checked.findings.append(f"{file}: and {len(listed) - MAX_FINDINGS} more findings.")
+        checked.findings.append(f"{file}: and {counted(len(listed) - MAX_FINDINGS, 'more finding')}.")
 
 
 def _check_entry(checked: Checked, file: str, data: bytes) -> Entry | None:

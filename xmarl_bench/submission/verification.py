@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from xmarl_bench.counted import counted
 from xmarl_bench.entry.file import read_entry
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.protocol import PROTOCOL
@@ -208,7 +209,7 @@ def is_signed(entry: Entry, by: str, folder: Path, options: Options) -> bool:
 def _sentences(apart: list[Difference], source: str) -> tuple[str, ...]:
     found = [f"{each.where} is {each.entry}, but the {source} {each.found}." for each in apart[:MAX_FINDINGS]]
     if len(apart) > MAX_FINDINGS:
-        found.append(f"and {len(apart) - MAX_FINDINGS} more numbers differ.")
+        found.append(f"and {counted(len(apart) - MAX_FINDINGS, 'more difference')}.")
     return tuple(found)
 
 
@@ -276,7 +277,9 @@ def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
         yield from (f"{path}: {file}: {each}" for each in _fresh_lines(verdict.entry, verdict.fresh))
     elif not verdict.findings:
         how = "bit for bit" if verdict.bitwise else "within the tolerance of another platform"
-        again = f", {verdict.episodes} episodes again" if verdict.tier is not Tier.recompute else ""
+        again = (
+            f", {counted(verdict.episodes, 'episode')} again" if verdict.tier is not Tier.recompute else ""
+        )
         yield (
             f"{path}: {file}: {STATUS[verdict.tier]}{again}, {how}, "
             f"largest difference {verdict.max_abs_diff}."
@@ -286,7 +289,8 @@ def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
 def _fresh_lines(entry: Entry, fresh: Fresh) -> Iterator[str]:
     """For each cell the metric that decides, and whether the explainer does worse."""
     for cell, compared in zip(entry.results, fresh.cells, strict=True):
-        where = f"{cell.task}, {cell.n_agents} agents: {fresh.episodes} fresh episodes from {fresh.value}"
+        episodes = counted(fresh.episodes, "fresh episode")
+        where = f"{cell.task}, {counted(cell.n_agents, 'agent')}: {episodes} from {fresh.value}"
         decides = headline(compared)
         if decides is None:
             yield f"{where}: no metric to compare."

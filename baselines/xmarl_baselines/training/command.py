@@ -21,10 +21,11 @@ from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.own_process import train_in_own_process
 from xmarl_baselines.training.recipes import recipe_for
 from xmarl_baselines.training.trainer import Report, Run, train
+from xmarl_bench.cli.fitted_table import print_table
 from xmarl_bench.cli.options import Address, Backend
 from xmarl_bench.cli.program import Version
 from xmarl_bench.cli.program import run as run_program
-from xmarl_bench.cli.tables import performance_rows, print_rows
+from xmarl_bench.cli.tables import performance_rows
 from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers
@@ -139,7 +140,7 @@ def _train(run: Run, out: Path, *, resume: bool, start_from: Path | None, episod
     except KeyboardInterrupt:
         print("xmarl-train: stopped. Run the same command with --resume to continue.", file=sys.stderr)
         raise typer.Exit(130) from None
-    print_rows(performance_rows([card], [Performance(**card.performance)]))
+    print_table(performance_rows([card], [Performance(**card.performance)]), keep=("success",))
     print(f"policy in {folder / 'policy'}: xmarl-bench score --policy {folder / 'policy'}")
 
 

@@ -100,7 +100,7 @@ def test_slow_explainers_get_fewer_states_and_the_output_says_so(
         for _, entry in read_entries(out / "entries")
     )
     assert sizes == [("all-ones", 1, 1), ("all-ones", 2, 0), ("slow", 1, 1)]
-    assert "Slow explainers (slow) had fewer states: 1 episodes, at most 1" in ran.out
+    assert "Slow explainers (slow) had fewer states: 1 episode, at most 1 timestep of each" in ran.out
 
 
 @pytest.mark.parametrize(

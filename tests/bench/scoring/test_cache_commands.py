@@ -80,7 +80,7 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
     assert score(run_cli, make_bundle(), out).code == 0
     told = run_cli("status", out)
     assert told.code == 0
-    assert f"{out}: finished, {PIECES} of {PIECES} pieces, 1 of 1 entries." in told.out
+    assert f"{out}: finished, {PIECES} of {PIECES} pieces, 1 of 1 entry." in told.out
     assert "xmarl-bench score --policy" in told.out
     (row,) = json.loads(run_cli("status", "--json").out)
     assert row["state"] == "finished"

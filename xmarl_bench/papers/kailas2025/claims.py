@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from xmarl_bench.counted import counted
 from xmarl_bench.metrics.table import METRICS, OF_POLICIES, Direction, names_of
 
 # +1 if a higher value is better, -1 if a lower one is. The paper wants a high D(alpha) and a low attention
@@ -126,7 +127,7 @@ def _condition(term: Term) -> str:
     if term.percent is not None:
         parts.append(f"at {term.percent} % of training")
     if term.more is not None:
-        parts.append(f"{term.more} agent{'s' if term.more > 1 else ''} more")
+        parts.append(f"{counted(term.more, 'agent')} more")
     return ", ".join(parts)
 
 

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import typer
 from jinja2 import Environment, StrictUndefined
 
+from xmarl_bench.counted import counted
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.errors import InputError
 from xmarl_bench.papers.kailas2025.ledger import Verdict
@@ -136,12 +137,12 @@ def numbers(claim: Json) -> str:
     counts, shown = claim["counts"], decisive(claim)
     n = sum(counts.values())
     parts = [f"{counts[verdict]} {word}" for verdict, word in _COUNTED if counts[verdict]]
-    text = f"of {n} cell{'s' if n > 1 else ''} {', '.join(parts)}"
+    text = f"of {counted(n, 'cell')} {', '.join(parts)}"
     if shown["difference"] is None:
         return text
     return (
         f"{text}; {METRIC_NAMES[shown['metric']]}, {shown['compares']}: {difference(shown)}, "
-        f"effect {shown['effect']:+.2f}, p {p_value(shown)}, {shown['n_policies']} policies"
+        f"effect {shown['effect']:+.2f}, p {p_value(shown)}, {counted(shown['n_policies'], 'policy')}"
     )
 
 

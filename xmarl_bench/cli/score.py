@@ -169,7 +169,8 @@ def score(
 
 def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> None:
     from xmarl_bench.cli.fitted_table import print_table
-    from xmarl_bench.meta.planted_suite import SIZES, agreement, by_family, means_of, record, score_planted
+    from xmarl_bench.meta.planted_suite import agreement, by_family, means_of, record, score_planted
+    from xmarl_bench.planted.families import SIZES
     from xmarl_bench.records.files import write_json
 
     found = score_planted(explainers, seed=seed)

@@ -13,6 +13,8 @@ from tests.helpers.made_samples import made_samples
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.errors import InputError
 from xmarl_bench.papers.kailas2025.claims import ATTENTION, GNN, Cell, Claim, beats
+from xmarl_bench.papers.kailas2025.ledger import Judge
+from xmarl_bench.papers.kailas2025.plan import STUDIES
 from xmarl_bench.papers.kailas2025.reproduction import (
     DATA,
     PAGE,
@@ -24,8 +26,6 @@ from xmarl_bench.papers.kailas2025.reproduction import (
     sentence,
     survival,
 )
-from xmarl_bench.papers.kailas2025.ledger import Judge
-from xmarl_bench.papers.kailas2025.plan import STUDIES
 from xmarl_bench.papers.kailas2025.results import judged_record
 from xmarl_bench.plugins.registry import find_policies
 from xmarl_bench.policy.bundle import load_card

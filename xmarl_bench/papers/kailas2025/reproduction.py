@@ -201,7 +201,9 @@ def read_results(folder: Path) -> Json:
 
 def main(
     folders: Annotated[list[Path], typer.Argument(help="Folders of studies, in the order of the page.")],
-    out: Annotated[Path, typer.Option(help="Folder of reproduction.json and reproduction.md.")] = Path("docs"),
+    out: Annotated[Path, typer.Option(help="Folder of reproduction.json and reproduction.md.")] = Path(
+        "docs"
+    ),
 ) -> None:
     """Write the findings of the studies."""
     findings = [findings_of(read_results(folder)) for folder in folders]

@@ -4,6 +4,8 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 # Two processes that share a machine's cores do best with one thread each.
 export OMP_NUM_THREADS ?= 1
+# Images of Docker often set it: each process of the tests would then compile every module again, 6 s of a core.
+unexport PYTHONDONTWRITEBYTECODE
 # For whoever edits a function: no training, browser, cluster or fresh process.
 QUICK := not slow and not training and not browser and not cluster and not benchmark
 

@@ -74,6 +74,7 @@ def unix_only(tree: ast.Module) -> set[str]:
     }
 
 
+@pytest.mark.slow
 def test_functions_of_unix_are_used_only_where_windows_is_refused() -> None:
     found = {path.name: names for path, tree in files(*PACKAGES) if (names := unix_only(tree))}
     assert found.keys() == REFUSES, found
@@ -99,6 +100,7 @@ def without_encoding(tree: ast.Module) -> list[int]:
     return lines
 
 
+@pytest.mark.slow
 def test_text_is_read_and_written_as_utf_8() -> None:
     found = {str(path): lines for path, tree in files(*PACKAGES, DOCS) if (lines := without_encoding(tree))}
     assert not found

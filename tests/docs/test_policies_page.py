@@ -42,6 +42,7 @@ def test_the_bundle_of_the_page_loads(tmp_path: Path) -> None:
     assert not policy.row_wise
 
 
+@pytest.mark.slow
 def test_the_networks_of_the_page_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(blocks("python")[1])
     policy, card = open_policy(f"{tmp_path}/mine.py:make", trust_code=True)
@@ -77,6 +78,7 @@ def test_the_discrete_policy_of_the_page_is_scored() -> None:
     assert entry.protocol != continuous.protocol  # they share no table
 
 
+@pytest.mark.slow
 def test_the_recurrent_network_of_the_page_is_accepted(tmp_path: Path) -> None:
     (text,) = [text for text in blocks("python") if "initial_state" in text]
     (tmp_path / "mine.py").write_text(text)

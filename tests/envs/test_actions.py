@@ -33,6 +33,7 @@ def test_the_numbers_mean_the_same_as_in_mpe2(number: int) -> None:
     np.testing.assert_array_equal(np.sign(our_velocity), PUSHES[number])
 
 
+@pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("copies", [1, 8])
 def test_an_episode_equals_that_of_the_same_pushes_bit_for_bit(name: str, copies: int) -> None:

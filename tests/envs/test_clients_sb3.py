@@ -155,6 +155,7 @@ def test_a_seeded_ppo_repeats_and_another_seed_differs(continuous: bool) -> None
     assert (weights[0] != weights[2]).any()
 
 
+@pytest.mark.slow
 def test_sb3_s_wrappers_saving_and_other_algorithms_work(tmp_path: Path) -> None:
     env = VecNormalize(VecMonitor(AgentVecEnv(make_task("blind_discovery_v0"), 2, seed=0, max_cycles=10)))
     model = SAC("MlpPolicy", env, learning_starts=30, batch_size=32, seed=0, device="cpu")

@@ -31,6 +31,7 @@ def test_the_heuristic_solves_its_task(name: str, n_agents: int, bar: float) -> 
     assert success(make_task(name, n_agents), heuristic) >= bar
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TASKS)
 def test_random_agents_do_not_solve_the_tasks(name: str) -> None:
     rng = np.random.default_rng(0)

@@ -265,6 +265,7 @@ def test_arrows_and_rings_grow_with_the_mask() -> None:
     np.testing.assert_array_equal(ringed, plain)
 
 
+@pytest.mark.slow
 def test_an_explanation_of_a_crowded_team_is_also_shown_magnified() -> None:
     task = make_task("blind_passage_v0", 5)
     huddle = [(x - 0.8, y - 0.8) for x, y in ((0.0, 0.0), (0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1))]

@@ -24,6 +24,7 @@ def pushing(env: VectorEnv, rng: np.random.Generator) -> Floats:
     return 2 * (meeting - env.state.position) + rng.uniform(-1, 1, env.state.position.shape)
 
 
+@pytest.mark.slow
 def test_two_discs_that_meet_repeatedly_move_as_in_their_own_space() -> None:
     """With one contact at a time the order of contacts cannot matter: all 32 agree for 200 steps."""
     task = make_task("blind_navigation_v0", 2)
@@ -118,6 +119,7 @@ def test_crowded_discs_do_not_overlap(name: str, n_agents: int) -> None:
     assert n_contacts > 500
 
 
+@pytest.mark.slow
 def test_slots_are_reused() -> None:
     task = make_task("blind_passage_v0", 5)
     env = VectorEnv(task, 32, copies_per_space=8)

@@ -58,6 +58,7 @@ def crowd(*first: list[float]) -> Floats:
     return row(*first, *rest)
 
 
+@pytest.mark.slow
 def test_passage_counts_touching_where_vmas_counts_overlap_of_agents_and_nearness_to_walls() -> None:
     task = make_task("blind_passage_v0", 5)
     gap_x = -1 - 0.03333 + 0.103 * 10.5  # slot 10 of 20
@@ -104,6 +105,7 @@ def test_discovery_pays_one_to_all_and_vmas_half_per_covering_agent() -> None:
         np.testing.assert_allclose(vmas, theirs)
 
 
+@pytest.mark.slow
 def test_discovery_lets_agents_onto_the_landmark_and_stops_them_at_the_border() -> None:
     """VMAS's landmark is solid, and agents keep their velocity at its border."""
     env, twin = VectorEnv(make_task("blind_discovery_v0", 1)), VmasTwin("blind_discovery_v0", 1, 1)

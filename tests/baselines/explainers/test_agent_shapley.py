@@ -183,6 +183,7 @@ def test_discrete_actions() -> None:
     assert len(np.unique(discrete)) == 4
 
 
+@pytest.mark.slow
 def test_large_teams_are_sampled_and_others_are_not() -> None:
     def mask(n_agents: int, seed: int) -> Tensor:
         x = team(*((3.0 * k, 9.0) for k in range(n_agents)))

@@ -68,6 +68,7 @@ def test_integrated_gradients_are_complete(name: str) -> None:
     torch.testing.assert_close(total, silence(policy, x), rtol=0, atol=0.01)
 
 
+@pytest.mark.slow
 def test_integrated_gradients_of_probabilities_are_complete() -> None:
     policy, x = small_policy(6, 3, categorical=True), random_observations(5, N, 6)
     total = gradient_at(policy, x, midpoints(1000)).sum(dim=-1)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import subprocess
 import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -14,7 +16,8 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch_geometric.explain import AttentionExplainer, GraphMaskExplainer, PGExplainer
 from torch_geometric.nn import GraphConv
-from xmarl_baselines.explainers import batching
+from xmarl_baselines.explainers import batching, gnn_explainer, gnn_explainer_tuned, graphmask
+from xmarl_baselines.explainers import graphmask_pyg as by_pyg_s_graphmask
 from xmarl_baselines.explainers.attention import attention
 from xmarl_baselines.explainers.attention_rowmax import attention_rowmax
 from xmarl_baselines.explainers.graphmask_pyg import graphmask_pyg
@@ -29,7 +32,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, explain_of, run_explainer
 from xmarl_bench.explain.messages_only import SUFFIX
 from xmarl_bench.explain.pyg import PygExplain
-from xmarl_bench.policy import GraphPolicy, ModulePolicy, Policy
+from xmarl_bench.policy import ModulePolicy, Policy
 from xmarl_bench.policy.build import LayeredPolicy
 from xmarl_bench.policy.layers import LayeredNetwork
 
@@ -40,23 +43,36 @@ UNMODIFIED = [
     Explainer("pg", PygExplain(lambda: PGExplainer(epochs=2, lr=0.1))),
     Explainer("graphmask of PyG", PygExplain(lambda: GraphMaskExplainer(1, 5, log=False))),
 ]
-each = pytest.mark.parametrize("explainer", SHIPPED, ids=lambda explainer: explainer.name)
 
 
-def made_ready(explainer: Explainer, policy: Policy, observations: Tensor) -> Explainer:
-    if explainer is influence and not isinstance(policy, GraphPolicy):
-        pytest.skip("it refuses policies whose coefficients are not known: see test_influence.py")
-    return ready(explainer, policy, observations)
+def every(explainers: list[Explainer]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("explainer", explainers, ids=lambda explainer: explainer.name)
+
+
+each = every(SHIPPED)
+# Influence refuses policies whose coefficients are not known: see test_influence.py.
+on_any_network = every([explainer for explainer in SHIPPED if explainer is not influence])
+# What `-messages` adds does not depend on the network: see test_messages_only.py.
+of_all_edges = [explainer for explainer in SHIPPED if not explainer.name.endswith(SUFFIX)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_epochs() -> Iterator[None]:
+    """These promises do not depend on how long an explainer learns."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (gnn_explainer, gnn_explainer_tuned, graphmask, by_pyg_s_graphmask):
+            patch.setattr(module, "SETTINGS", replace(module.SETTINGS, epochs=10))
+        yield
 
 
 def run(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
     """As scoring runs it, fitted where it needs that."""
-    return run_explainer(made_ready(explainer, policy, observations), policy, observations, seed)
+    return run_explainer(ready(explainer, policy, observations), policy, observations, seed)
 
 
 def straight(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
     """Without the harness's own copies around it."""
-    explain = explain_of(made_ready(explainer, policy, observations))
+    explain = explain_of(ready(explainer, policy, observations))
     return explain(policy, observations, torch.Generator().manual_seed(seed))
 
 
@@ -120,16 +136,14 @@ def test_attention_rowmax_ranks_as_attention_and_keeps_the_best_message_whole() 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "policy",
+    ("explainer", "policy"),
     [
-        small_policy(6, 2),
-        small_policy(6, 2, residual=True),
-        small_policy(6, 2, categorical=True),
-        two_layers(6),
+        *((explainer, small_policy(6, 2, residual=True)) for explainer in SHIPPED),
+        *((explainer, small_policy(6, 2, categorical=True)) for explainer in of_all_edges),
+        *((explainer, two_layers(6)) for explainer in of_all_edges if explainer is not influence),
     ],
-    ids=["one layer", "residual", "categorical", "two layers"],
+    ids=lambda it: it.name if isinstance(it, Explainer) else "",
 )
-@each
 def test_an_explainer_leaves_no_trace(explainer: Explainer, policy: Policy) -> None:
     observations = random_observations(2, 3, 6)
     state, seen = everything_of(policy), observations.clone()
@@ -165,7 +179,7 @@ def alone() -> dict[str, Tensor]:
 
 
 @pytest.mark.slow
-@settings(max_examples=5)
+@settings(max_examples=3)
 @given(order=st.permutations([*SHIPPED, *UNMODIFIED]))
 def test_no_explainer_leaks_into_the_next_whatever_the_order(
     alone: dict[str, Tensor], order: list[Explainer]
@@ -179,10 +193,8 @@ def test_no_explainer_leaks_into_the_next_whatever_the_order(
 
 
 @pytest.mark.slow
-@each
+@every([each for each in SHIPPED if each is not graphmask_pyg])  # rounding may move a gate, as in PyG itself
 def test_chunks_change_nothing_but_rounding(explainer: Explainer, monkeypatch: pytest.MonkeyPatch) -> None:
-    if explainer is graphmask_pyg:
-        pytest.skip("rounding may move a gate across the midpoint, as in PyG itself")
     policy, observations = small_policy(6, 5), random_observations(7, 3, 6)
     whole = run(explainer, policy, observations, 1)
     monkeypatch.setattr(batching, "AGENTS_AT_ONCE", 6)
@@ -204,7 +216,7 @@ def test_a_timestep_s_mask_does_not_depend_on_other_timesteps(explainer: Explain
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"residual": True}, {"categorical": True}], ids=str)
-@each
+@every([each for each in of_all_edges if each is not influence])
 def test_the_generic_path_gives_what_the_fast_path_gives(
     explainer: Explainer, options: dict[str, Any]
 ) -> None:
@@ -219,7 +231,7 @@ def test_the_generic_path_gives_what_the_fast_path_gives(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("cell", "after"), [("lstm", 0), ("gru", 1)])
-@each
+@every([each for each in of_all_edges if each is not influence])
 def test_the_paths_agree_on_policies_that_remember(explainer: Explainer, cell: str, after: int) -> None:
     architecture = remembering(cell, after)
     fast, network = recurrent_policy(architecture), LayeredNetwork(architecture)
@@ -231,7 +243,7 @@ def test_the_paths_agree_on_policies_that_remember(explainer: Explainer, cell: s
 
 
 @pytest.mark.slow
-@each
+@on_any_network
 def test_agents_that_hear_nobody_get_rows_of_zeros(explainer: Explainer) -> None:
     policy, observations, edges = with_a_lonely_timestep()
     assert not edges[1].any()
@@ -241,7 +253,7 @@ def test_agents_that_hear_nobody_get_rows_of_zeros(explainer: Explainer) -> None
 
 
 @pytest.mark.slow
-@each
+@on_any_network
 def test_policies_without_attention_are_explained_by_explainers_that_need_none(explainer: Explainer) -> None:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
@@ -255,7 +267,7 @@ def test_policies_without_attention_are_explained_by_explainers_that_need_none(e
 
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", [one_layer(6), two_layers(6), transformers(6)], ids=["1", "2", "3"])
-@each
+@on_any_network
 def test_policies_beyond_the_fast_path_are_explained(explainer: Explainer, policy: Policy) -> None:
     observations = random_observations(2, 3, 6)
     if explainer is graphmask_pyg and "Transformer" in str(policy):

@@ -89,6 +89,7 @@ def test_the_defaults_are_pygs() -> None:
     assert algorithm.coeffs["EPS"] == 1e-15
 
 
+@pytest.mark.slow
 def test_the_default_result_is_mostly_its_random_start() -> None:
     policy, observations = trained(TRAINED[2], 40)
     one, two = (run_explainer(gnn_explainer, policy, observations, seed) for seed in (1, 2))

@@ -91,6 +91,7 @@ def test_the_defaults_are_pygs() -> None:
         assert getattr(algorithm, name) == value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoder", [(), (8,)], ids=["6 -> 8", "8 -> 8"])
 def test_graphmask_pyg_gives_binary_masks(encoder: tuple[int, ...]) -> None:
     mask = run_explainer(graphmask_pyg, small_policy(6, 4, encoder), random_observations(5, 3, 6), 0)
@@ -113,6 +114,7 @@ def relative_error(policy: GraphPolicy, observations: Tensor, mask: Tensor) -> T
     return distance[0] / distance[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRAINED)
 def test_graphmask_drops_messages_and_keeps_the_action_within_the_allowance(name: str) -> None:
     policy, observations = trained(name, 30)
@@ -202,6 +204,7 @@ def test_without_a_constraint_every_gate_closes() -> None:
     assert bool((gated(policy, observations, GraphMaskSettings(allowance=1e9)) == 0).all())
 
 
+@pytest.mark.slow
 def test_a_larger_allowance_keeps_fewer_messages() -> None:
     policy, observations = trained(TRAINED[0], 40)
     few, many = (gated(policy, observations, GraphMaskSettings(allowance=a)).mean() for a in (0.5, 0.01))

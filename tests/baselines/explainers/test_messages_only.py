@@ -49,6 +49,7 @@ def test_own_edges_are_kept_for_every_mask() -> None:
         assert torch.equal(kept.attention(observations), policy.attention(observations))
 
 
+@pytest.mark.slow
 def test_shapley_of_messages_is_the_mean_over_orders_of_the_others() -> None:
     observations = random_observations(3, N, 6)
     mask = run_explainer(shapley_messages, small_policy(6, 1), observations, 0)

@@ -102,6 +102,7 @@ def test_the_csv_has_the_numbers_of_the_json(board: Path) -> None:
         assert line["entry_id"] == (row["entry_id"] or "")
 
 
+@pytest.mark.slow
 def test_an_entry_changes_few_lines_of_the_json(board: Path) -> None:
     before = (board / "leaderboard.json").read_text().splitlines()
     write_entry(board / "entries", made_entry("p0", "c", 0.3))
@@ -110,6 +111,7 @@ def test_an_entry_changes_few_lines_of_the_json(board: Path) -> None:
     assert len(set(after) - set(before)) < len(after) / 3
 
 
+@pytest.mark.slow
 def test_entries_keep_their_budgets(board: Path) -> None:
     (page,) = (board / "pages").glob("p1-*.js")
     details = json.loads(re.sub(r"^globalThis\.\w+=|;\n$", "", page.read_text()))

@@ -132,6 +132,7 @@ def test_an_explainer_on_few_policies_does_not_shrink_the_common_set() -> None:
     assert complete_part({}) == ([], [])
 
 
+@pytest.mark.slow
 def test_ranking_over_policies_has_each_explainers_mean() -> None:
     entries = [
         *made_board([f"policy{k}" for k in range(6)], {"good": 0.9, "twin": 0.9, "bad": 0.3}),

@@ -209,6 +209,7 @@ def test_two_policies_of_one_name_are_refused(run_cli: RunCli, make_bundle: Make
     assert_refused(ran, out, "two policies are named 'same'")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -315,6 +316,7 @@ def test_list_policies(run_cli: RunCli, make_bundle: MakeBundle, monkeypatch: py
     assert "0.75" in run_cli("list", "policies").out
 
 
+@pytest.mark.slow
 def test_evaluate(run_cli: RunCli, make_bundle: MakeBundle) -> None:
     arguments = ("evaluate", "--policy", make_bundle(), *QUICK)
     (row,) = json.loads(run_cli(*arguments, "--json").out)

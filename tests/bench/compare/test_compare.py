@@ -11,22 +11,24 @@ import pytest
 from PIL import Image
 from scipy import stats
 
-from tests.conftest import RunCli, save_bundle
+from tests.conftest import RunCli
+from tests.helpers.made_entries import made_entry
 from xmarl_bench.compare.comparison import BETTER, compare
 from xmarl_bench.compare.matching import blocks_of, read_named, shared_states
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, make_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.statistics import holm
-from xmarl_bench.scoring.score import score
 
 Values = Sequence[float | None]
 
 
 @pytest.fixture(scope="module")
-def entry(tmp_path_factory: pytest.TempPathFactory) -> Entry:
-    bundle = save_bundle(tmp_path_factory.mktemp("entry"))
-    return score(bundle, "random", episodes=4, timesteps=2, max_cycles=4, behaviour_episodes=0)
+def entry() -> Entry:
+    made = made_entry("small", "random", 0.5, episodes=4)
+    (cell,) = made.results
+    unplayed = cell.model_copy(update={"not_measured": {"success_on_explanation": "no episode was played"}})
+    return made.model_copy(update={"results": (unplayed,)})
 
 
 def like(entry: Entry, explainer: str, values: Values, *, policy: str = "small", **changes: object) -> Entry:

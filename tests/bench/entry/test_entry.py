@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from tests.conftest import save_bundle
+from tests.conftest import MakeBundle
+from tests.helpers.made_entries import made_entry
 from xmarl_bench.entry.aggregation import Acted, cell_metrics, metrics_of_cell, summarise
 from xmarl_bench.entry.file import read_entry, write_entry
 from xmarl_bench.entry.schema import Entry, EpisodeRow, Metrics, Summary, Verification, entry_id
@@ -20,12 +21,10 @@ from xmarl_bench.scoring.score import score
 
 
 @pytest.fixture(scope="module")
-def entry(tmp_path_factory: pytest.TempPathFactory) -> Entry:
-    bundle = save_bundle(tmp_path_factory.mktemp("entry"))
-    return score(bundle, "attention", episodes=3, max_cycles=6)
+def entry() -> Entry:
+    return made_entry("small", "attention", 0.5, episodes=3)
 
 
-@pytest.mark.slow
 def test_round_trip(tmp_path: Path, entry: Entry) -> None:
     path = write_entry(tmp_path, entry)
     assert path.name.startswith("small.attention.")
@@ -48,7 +47,6 @@ def edited(entry: Entry, edit: Any) -> str:
     return json.dumps(value)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
@@ -95,7 +93,9 @@ def test_nan_is_counted_and_left_out() -> None:
     assert (nothing.value, nothing.interval, nothing.n, nothing.n_nan) == (None, None, 0, 2)
 
 
-def test_aggregates_follow_from_the_rows(entry: Entry) -> None:
+@pytest.mark.slow
+def test_aggregates_follow_from_the_rows(make_bundle: MakeBundle) -> None:
+    entry = score(make_bundle(), "attention", episodes=3, max_cycles=6)
     (cell,) = entry.results
     assert metrics_of_cell(cell, entry.explainer.seed) == cell.metrics
     rows = [row.model_copy(update={"gef": None}) if k == 0 else row for k, row in enumerate(cell.episodes)]

@@ -77,6 +77,7 @@ def test_messages_only_keeps_own_edges() -> None:
         assert torch.equal(mask, of_senders(speed(observations)).masked_fill(own, 1.0))
 
 
+@pytest.mark.slow
 def test_an_entry_records_the_declaration(make_bundle: MakeBundle) -> None:
     policy, quick = make_bundle(), {"episodes": 1, "timesteps": 2, "max_cycles": 3, "behaviour_episodes": 0}
     declared = score(policy, as_explainer(speed, node_importance=True), **quick)  # type: ignore[arg-type]

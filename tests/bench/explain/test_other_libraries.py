@@ -126,6 +126,7 @@ def test_explainers_of_a_function_explain_rows_of_the_mask(name: str, policy: Po
         torch.testing.assert_close(mask, expected, rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 @POLICIES
 def test_integrated_gradients_is_the_integral(
     policy: Policy, kept: Callable[[Policy, Tensor, int], Value]
@@ -232,6 +233,7 @@ def test_subgraphx_removes_messages_by_edge_weights() -> None:
     assert set(mask.unique().tolist()) == {0.0, 1.0}
 
 
+@pytest.mark.slow
 def test_the_recipe_puts_edges_in_the_row_of_the_receiver() -> None:
     library("graph_explain")
     page = defined_in_block("def of_graph_explain(", PAGE)

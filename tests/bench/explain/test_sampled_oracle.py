@@ -187,6 +187,7 @@ def test_sampled_against_enumerated(n_agents: int, absence: Absence) -> None:
     assert (reached > 0.95).all()
 
 
+@pytest.mark.slow
 def test_the_stated_error_is_the_spread_over_seeds() -> None:
     policy, observations = small_policy(5, 3), random_observations(4, 6, 5, 1)
     edges = Edges.of(np.ones((4, 6, 6), dtype=bool), own_kept=True)
@@ -243,6 +244,7 @@ def test_masks_that_rank_nothing_score_exactly_zero(make: object, monkeypatch: p
     assert scores[0].budgeted == scores[1].budgeted != 0.0
 
 
+@pytest.mark.slow
 def test_fid_delta_at_k_is_that_of_the_mask_run_through_the_policy() -> None:
     policy, observations, mask = two_layers(), random_observations(5, 4, 6), random_masks(5, 4)
     ranked = sampled(policy, observations).score(mask).all_edges
@@ -270,6 +272,7 @@ def test_a_mask_that_beats_the_search_scores_one() -> None:
     assert not scored.budgeted > 1.0
 
 
+@pytest.mark.slow
 def test_the_best_mask_beats_all_ones_and_what_was_drawn() -> None:
     policy, observations = two_layers(1), random_observations(4, 4, 6)
     found = sampled(policy, observations)
@@ -308,6 +311,7 @@ def test_sweeps_climb_from_any_mask_to_one_that_no_swap_of_a_row_improves() -> N
     np.testing.assert_array_equal(best.value, again)
 
 
+@pytest.mark.slow
 def test_stretches_change_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
     policy, observations, mask = two_layers(), random_observations(6, 4, 6), random_masks(6, 4)
     whole = sampled(policy, observations)

@@ -16,6 +16,7 @@ from xmarl_bench.planted.families import FAMILIES
 from xmarl_bench.plugins.registry import find_explainer
 
 
+@pytest.mark.slow
 def test_explainers_have_their_known_strengths_and_weaknesses() -> None:
     """Occlusion cannot see a redundant pair; attention fails only on the decoy."""
     names = ("attention", "occlusion", "shapley")

@@ -100,6 +100,7 @@ def runs_of_a_cell(n_runs: int, spread: float, n_cells: int = 20_000) -> np.ndar
     return np.asarray((runs + generator.exponential(size=(n_cells, n_runs, 50)) - 1.0).mean(axis=-1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_runs", [3, 5])
 @pytest.mark.parametrize("spread", [0.0, 0.3, 1.0])
 def test_intervals_have_their_nominal_coverage(n_runs: int, spread: float) -> None:

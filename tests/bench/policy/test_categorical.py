@@ -110,6 +110,7 @@ def test_metrics_equal_an_independent_dense_reference(communication: bool) -> No
     assert all(value is not None for value in metrics.values())  # under every absence model too
 
 
+@pytest.mark.slow
 def test_the_likeliest_action_is_played_on_the_discrete_task() -> None:
     policy = pilot_policy()
     (episode,) = roll_out(make_task("blind_navigation_v0", 3), policy, [5], max_cycles=30)
@@ -156,6 +157,7 @@ def test_bundle_and_code_are_scored_end_to_end(explainer: str, tmp_path: Path) -
     )  # its coefficients are known
 
 
+@pytest.mark.slow
 def test_saving_and_loading_keeps_the_bundle(tmp_path: Path) -> None:
     memory = {"cell": "gru", "width": 4, "after": 1}
     recurrent = random_policy(record(GAT2, distribution="categorical", action_dim=5, memory=memory))

@@ -103,6 +103,7 @@ def test_code_does_not_run_unless_trusted(run_cli: RunCli, tmp_path: Path) -> No
     assert RAN == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plugin")
 @pytest.mark.parametrize("name", ["pilot", f"{HERE}:pilot"])
 def test_trusted_code_is_scored_and_the_entry_records_it(name: str, run_cli: RunCli, tmp_path: Path) -> None:
@@ -116,6 +117,7 @@ def test_trusted_code_is_scored_and_the_entry_records_it(name: str, run_cli: Run
     assert entry.results[0].metrics.fid_plus.value
 
 
+@pytest.mark.slow
 def test_a_module_from_a_notebook_is_scored_directly() -> None:
     entry = score(near(), "random", episodes=1, timesteps=3, max_cycles=4, behaviour_episodes=0)
     assert entry.policy.trusted_code

@@ -72,6 +72,7 @@ def test_deep_policies_are_scored_on_the_generic_path(layers: list[dict[str, Any
     assert "renormalised_budgeted_fidelity" in cell.not_measured
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(
     conv=st.sampled_from(["GATConv", "GATv2Conv", "TransformerConv"]),
@@ -159,6 +160,7 @@ def test_names_of_tensors_are_unchanged() -> None:
     assert set(weights_of(small_policy(6))) == set(shapes)
 
 
+@pytest.mark.slow
 def test_other_distributions_have_their_actions_and_entries(tmp_path: Path) -> None:
     normal = random_policy(record(TRANSFORMER, distribution="normal"))
     distribution = normal.distribution(random_observations(3, 3, 6))

@@ -24,6 +24,7 @@ from xmarl_bench.policy import ModulePolicy, complete_graph
 with_and_without_residual = pytest.mark.parametrize("residual", [False, True], ids=["plain", "residual"])
 
 
+@pytest.mark.slow
 @given(
     n_agents=st.integers(1, 6),
     seed=st.integers(0, 1000),
@@ -125,6 +126,7 @@ def test_a_mask_of_ones_equals_no_mask_bit_for_bit(residual: bool) -> None:
         )
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(
     n_agents=st.integers(1, 6),

@@ -248,6 +248,7 @@ def test_an_unwritable_file_is_refused_before_anything_is_played(
     assert "pip install 'xmarl-bench[video]'" in ran.err
 
 
+@pytest.mark.slow
 def test_a_failing_explainer_leaves_the_old_file(
     run_cli: RunCli, make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

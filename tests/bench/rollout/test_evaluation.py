@@ -42,6 +42,7 @@ def test_messages_help_if_the_interval_excludes_zero(low: float, helps: bool) ->
     assert performance.messages_help is helps
 
 
+@pytest.mark.slow
 def test_parallel_episodes_do_not_change_the_result() -> None:
     pairs = [
         (small_policy(6), Cell("blind_navigation_v0", 3)),

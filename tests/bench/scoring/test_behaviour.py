@@ -112,6 +112,7 @@ def test_the_explainer_gets_the_states_of_its_own_team() -> None:
     assert torch.equal(last[2:BLOCK], last[:1].expand(BLOCK - 2, -1, -1))  # padding
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("others", [False, True])
 @pytest.mark.parametrize("explainer", [NEAREST, NOISY, None])
 def test_an_episode_does_not_depend_on_the_others_of_its_batch(

@@ -121,6 +121,7 @@ def test_masks_that_a_team_acts_on_move_its_memory() -> None:
     assert torch.equal(seen[2][2:BLOCK], seen[2][:1].expand(BLOCK - 2, -1, -1))
 
 
+@pytest.mark.slow
 def test_keys_differ_by_memory(tmp_path: Path) -> None:
     """By where it sits, though the weights have the same names, shapes and numbers; by where it starts."""
     keys = []
@@ -146,6 +147,7 @@ def test_keys_differ_by_memory(tmp_path: Path) -> None:
     assert code[0] == code[2] != code[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [AttentionThenGru, LstmThenAttention])
 def test_checks_of_policies_take_it(make: Callable[[], nn.Module]) -> None:
     """All but the one that plays whole episodes."""

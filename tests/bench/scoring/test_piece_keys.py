@@ -51,6 +51,7 @@ def test_the_key_changes_with_everything_that_numbers_depend_on(make_bundle: Mak
         assert plan(same).piece_keys == plan(base).piece_keys
 
 
+@pytest.mark.slow
 def test_requests_share_equal_pieces(make_bundle: MakeBundle) -> None:
     one, other = (plan(request(make_bundle(), name)).needs[0] for name in ("attention", "occlusion"))
     assert [piece.block.first for piece in one.episodes] == [0, 10]

@@ -210,12 +210,14 @@ def test_a_policy_is_scored_with_any_team_size_of_its_task(make_bundle: MakeBund
         score(folder, "attention", n_agents=6)
 
 
+@pytest.mark.slow
 def test_an_explainer_that_becomes_invalid_yields_no_entry(make_bundle: MakeBundle) -> None:
     """Every kind of invalid mask: tests/bench/explain/test_explainer.py."""
     with pytest.raises(InputError, match="'late-nan'"):
         score(make_bundle(), BAD["late-nan"], episodes=2, max_cycles=10)
 
 
+@pytest.mark.slow
 def test_an_invalid_explainer_is_refused_before_a_valid_one_is_scored(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     requests = [
@@ -261,6 +263,7 @@ def test_slow_explainers_get_few_states_and_others_also_all(make_bundle: MakeBun
     assert {each.sampling for each in plan(selected, explainers, full)} == {full}
 
 
+@pytest.mark.slow
 def test_seeds_are_far_from_those_of_training_and_never_shared() -> None:
     assert episode_seeds(0, 3) == list(PUBLIC_SEEDS[:3])
     assert min(episode_seeds(0, 1)) > 2**31

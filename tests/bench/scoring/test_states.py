@@ -163,6 +163,7 @@ def test_without_an_oracle_fid_delta_at_k_stands_alone(monkeypatch: pytest.Monke
     assert states.oracle_mask is None
 
 
+@pytest.mark.slow
 def test_a_sampled_oracle_scores_as_the_enumerated_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """All normalised metrics of one mask, with random@k estimated and oracle@k searched for."""
     policy, observations = small_policy(6, 2), random_observations(40, 5, 6)
@@ -187,6 +188,7 @@ class TwoLayers(nn.Module):
         return out
 
 
+@pytest.mark.slow
 def test_policies_of_several_layers_have_all_but_what_needs_coefficients() -> None:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)

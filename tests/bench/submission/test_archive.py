@@ -173,6 +173,7 @@ def test_names_of_a_bundle_are_paths_inside_it() -> None:
     assert MAX_FILES == 1000
 
 
+@pytest.mark.slow
 def test_a_zip_and_a_folder_are_read_alike(files: Mapping[str, bytes], pack: Pack) -> None:
     assert read_files(pack(files)) == dict(files)
     assert read_files(pack(files, "folder")) == dict(files)

@@ -39,6 +39,7 @@ def swap(of: Any, one: Any, other: Any) -> None:
     of[one], of[other] = of[other], of[one]
 
 
+@pytest.mark.slow
 def test_zip_and_folder_have_the_same_content_and_are_valid(files: Mapping[str, bytes], pack: Pack) -> None:
     for name in ("bundle.zip", "bundle"):
         checked = check(pack(files, name))
@@ -48,6 +49,7 @@ def test_zip_and_folder_have_the_same_content_and_are_valid(files: Mapping[str, 
     assert pack(files, "again.zip").read_bytes() == pack(files, "more.zip").read_bytes()
 
 
+@pytest.mark.slow
 def test_submit_packs_a_valid_bundle_and_overwrites_nothing(
     tmp_path: Path, entries: list[Entry], policy_folder: Path, run_cli: RunCli
 ) -> None:
@@ -69,6 +71,7 @@ def test_submit_packs_a_valid_bundle_and_overwrites_nothing(
     assert out.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_submit_writes_no_invalid_bundle(
     tmp_path: Path, entries: list[Entry], policy_folder: Path, run_cli: RunCli
 ) -> None:
@@ -82,6 +85,7 @@ def test_submit_writes_no_invalid_bundle(
     assert not (tmp_path / "x.zip").exists()
 
 
+@pytest.mark.slow
 def test_validate_exits_0_1_2(tmp_path: Path, entries: list[Entry], run_cli: RunCli) -> None:
     good = write_entry(tmp_path / "good", entries[0])
     bad = tmp_path / "bad.json"
@@ -146,6 +150,7 @@ def test_inconsistent_numbers_are_found(
     assert all("\n" not in finding and finding.endswith(".") for finding in findings)
 
 
+@pytest.mark.slow
 def test_files_of_a_bundle_must_agree(files: Mapping[str, bytes], entries: list[Entry], pack: Pack) -> None:
     name = entries[0].file_name
     csv = f"rows/{name.removesuffix('.json')}.csv"
@@ -173,6 +178,7 @@ def test_files_of_a_bundle_must_agree(files: Mapping[str, bytes], entries: list[
         assert any(said in finding for finding in findings), (said, findings)
 
 
+@pytest.mark.slow
 def test_a_policy_with_another_name_is_found(files: Mapping[str, bytes], pack: Pack) -> None:
     card = files["policies/small/policy.json"].replace(b'"name": "small"', b'"name": "other"')
     findings = check(pack(with_manifest({**files, "policies/small/policy.json": card}))).findings

@@ -62,6 +62,7 @@ def test_an_honest_bundle_passes_every_tier_bit_for_bit(
         assert verdict.episodes == episodes
 
 
+@pytest.mark.slow
 def test_a_tampered_metric_is_found_by_recomputing(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack
 ) -> None:
@@ -304,6 +305,7 @@ def test_third_party_code_runs_only_if_trusted_and_in_the_sandbox(
     assert "code_sha256 disagrees with the file" in ran.out
 
 
+@pytest.mark.slow
 def test_on_another_machine_there_is_a_tolerance(
     entries: list[Entry], monkeypatch: pytest.MonkeyPatch
 ) -> None:

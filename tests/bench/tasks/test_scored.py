@@ -134,6 +134,7 @@ def test_a_task_class_of_one_s_own_is_scored() -> None:
     assert any("the task 'farther_v0' is unknown" in finding for finding in entry_findings(entry))
 
 
+@pytest.mark.slow
 def test_a_policy_module_brings_its_task() -> None:
     module = PolicyModule("liner", GATv2Conv(2, 4, add_self_loops=False), worlds.told, 3)
     entry = score(module, "random", episodes=2, timesteps=2)

@@ -82,6 +82,7 @@ def test_commands_refuse_a_folder_without_a_board(tmp_path: Path, run_cli: RunCl
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_csv_has_the_numbers_of_the_json(board: Path) -> None:
     lines = list(csv.DictReader(io.StringIO((board / "leaderboard.csv").read_text())))
     made = json.loads((board / "leaderboard.json").read_text())
@@ -124,6 +125,7 @@ def test_entries_keep_their_budgets(board: Path) -> None:
     assert budgets["comm_budget"]["explained"] == [[0.45, 0.45, 0.45], [0.9, 0.9, 0.9]]
 
 
+@pytest.mark.slow
 def test_serve_answers_on_this_machine(board: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch) -> None:
     served: dict[str, object] = {}
 

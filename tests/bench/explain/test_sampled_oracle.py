@@ -231,6 +231,7 @@ def test_orders_come_with_their_reverse_and_decide_between_equals_only() -> None
     assert (np.diagonal(ranks(value, orders, others), axis1=-2, axis2=-1) == 3).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [two_layers, lambda: small_policy(6)], ids=["two layers", "one layer"])
 def test_masks_that_rank_nothing_score_exactly_zero(make: object, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(enumeration, "MAX_AGENTS", 2)
@@ -257,6 +258,7 @@ def test_fid_delta_at_k_is_that_of_the_mask_run_through_the_policy() -> None:
             assert ranked.explained[k - 1] == pytest.approx(float(expected), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_mask_that_beats_the_search_scores_one() -> None:
     found = sampled(two_layers(), random_observations(3, 4, 6))
     sample = found.messages[Absence.ZERO]

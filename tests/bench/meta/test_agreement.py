@@ -45,6 +45,7 @@ def test_policies_of_the_board_without_controls_and_gates() -> None:
     assert scores["a"]["message_fidelity"] == pytest.approx(0.9, abs=0.1)
 
 
+@pytest.mark.slow
 def test_planted_scores_are_of_explainers() -> None:
     kinds = [each for each in kinds_of(small_policy(6)).values()][:1]
     from xmarl_bench.explain.explainer import Explainer

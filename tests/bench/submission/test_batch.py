@@ -109,6 +109,7 @@ def test_an_interrupted_run_has_signed_what_passed_and_goes_on(
     assert run_cli("verify", out, "--tier", "full", "--resume").code == 2
 
 
+@pytest.mark.slow
 def test_an_entry_of_a_policy_that_is_not_installed_is_named(entries: list[Entry], tmp_path: Path) -> None:
     from xmarl_bench.entry.file import write_entry
 

@@ -25,7 +25,7 @@ from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.explain.controls import ones_mask, random_mask, self_mask
 from xmarl_bench.explain.explainer import Explain
 from xmarl_bench.metrics import table as table_of_metrics
-from xmarl_bench.plugins.registry import find_policies
+from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.default_policies import default_policies

@@ -22,7 +22,8 @@ import torch
 from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.oracle import oracle_kind
-from xmarl_bench.plugins.registry import find_explainer, find_policies
+from xmarl_bench.plugins.names import find_policies
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.policy.architecture import LayeredArchitecture
 from xmarl_bench.policy.build import untrained_policy

@@ -21,7 +21,8 @@ from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.paper_lambda import RECORDS
 from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.reference import EPISODES
-from xmarl_bench.cli.tables import Row, markdown, performance_rows
+from xmarl_bench.cli.score_table import performance_rows
+from xmarl_bench.cli.tables import Row, markdown
 from xmarl_bench.papers.kailas2025.paper import MAIN as PAPER
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, load_policy

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from xmarl_envs.blind_discovery_v0 import BlindDiscovery
 from xmarl_envs.blind_navigation_v0 import BlindNavigation
 from xmarl_envs.blind_passage_v0 import BlindPassage
-from xmarl_envs.parallel import TaskParallelEnv
 from xmarl_envs.registration import register_tasks
 from xmarl_envs.task import Layout, Outcome, State, Task
-from xmarl_envs.vector_env import Step, VectorEnv
+
+if TYPE_CHECKING:
+    from xmarl_envs.parallel import TaskParallelEnv
+    from xmarl_envs.vector_env import Step, VectorEnv
 
 TASKS: dict[str, type[Task]] = {task.name: task for task in (BlindNavigation, BlindPassage, BlindDiscovery)}
 register_tasks(TASKS.values())
+
+# Loaded on first use: rules need no physics.
+_MODULES = {"Step": "vector_env", "TaskParallelEnv": "parallel", "VectorEnv": "vector_env"}
 
 __all__ = [
     "TASKS", "BlindDiscovery", "BlindNavigation", "BlindPassage", "Layout", "Outcome", "State", "Step",
@@ -26,3 +32,11 @@ def make_task(name: str, n_agents: int = 3, **options: Any) -> Task:
     if name not in TASKS:
         raise ValueError(f"unknown task {name!r}: choose one of {', '.join(TASKS)}.")
     return TASKS[name](n_agents=n_agents, **options)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module 'xmarl_envs' has no attribute {name!r}")
+    value = getattr(import_module(f"xmarl_envs.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value

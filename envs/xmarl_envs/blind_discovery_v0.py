@@ -24,7 +24,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from xmarl_envs.parallel import make_constructors
+from xmarl_envs.constructors import make_constructors
 from xmarl_envs.task import Floats, Layout, Outcome, State, Task, distance, scatter
 
 

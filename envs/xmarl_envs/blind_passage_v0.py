@@ -26,7 +26,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from xmarl_envs.parallel import make_constructors
+from xmarl_envs.constructors import make_constructors
 from xmarl_envs.task import Bools, Floats, Layout, Outcome, State, Task, distance
 
 SLOTS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # the cross, in spacings

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
-from pettingzoo import AECEnv, ParallelEnv
-from pettingzoo.utils import parallel_to_aec, wrappers
+from pettingzoo import ParallelEnv
 
 from xmarl_envs.actions import action_space
 from xmarl_envs.episode_seeds import EpisodeSeeds
@@ -185,34 +183,3 @@ def task_of(source: Task | TaskParallelEnv, max_cycles: int | None) -> tuple[Tas
             f"of these, without wrappers."
         )
     return source, max_cycles
-
-
-class Constructors(NamedTuple):
-    """The three constructors of a PettingZoo module."""
-
-    parallel_env: Callable[..., TaskParallelEnv]
-    env: Callable[..., AECEnv[str, Array, Any]]
-    raw_env: Callable[..., AECEnv[str, Array, Any]]
-
-
-def make_constructors(task_class: type[Task]) -> Constructors:
-    """`parallel_env`, `env` and `raw_env` of a task, as PettingZoo names them.
-
-    Each takes n_agents=3, max_cycles=None (the task's own), render_mode=None, continuous_actions=True and
-    the task's options.
-    """
-
-    def parallel_env(
-        n_agents: int = 3, max_cycles: int | None = None, render_mode: str | None = None, **options: Any
-    ) -> TaskParallelEnv:
-        return TaskParallelEnv(task_class(n_agents=n_agents, **options), max_cycles, render_mode)
-
-    def raw_env(**kwargs: Any) -> AECEnv[str, Array, Any]:
-        return parallel_to_aec(parallel_env(**kwargs))
-
-    def env(**kwargs: Any) -> AECEnv[str, Array, Any]:
-        return wrappers.OrderEnforcingWrapper(raw_env(**kwargs))
-
-    for constructor in (parallel_env, raw_env, env):
-        constructor.__doc__ = f"{constructor.__name__} of {task_class.__name__}; see the module's docstring."
-    return Constructors(parallel_env, env, raw_env)

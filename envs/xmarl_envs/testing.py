@@ -34,7 +34,7 @@ from pettingzoo.test.state_test import state_test
 from pettingzoo.utils import BaseParallelWrapper, parallel_to_aec
 
 from xmarl_envs.actions import random_actions
-from xmarl_envs.parallel import make_constructors
+from xmarl_envs.constructors import make_constructors
 from xmarl_envs.task import Task
 from xmarl_envs.trajectory import Pushes, play, play_env, play_task
 from xmarl_envs.vector_env import VectorEnv

@@ -9,7 +9,7 @@ from xmarl_envs import TASKS
 
 from tests.baselines.reference import shipped_name
 from xmarl_bench.entry.file import read_entry, write_entry
-from xmarl_bench.plugins.registry import find_policies
+from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy import load_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.evaluation import Performance, evaluate

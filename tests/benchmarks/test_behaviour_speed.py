@@ -15,7 +15,7 @@ from xmarl_baselines.explainers.attention import attention
 from tests.benchmarks.conftest import Report
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES
 from xmarl_bench.explain.absence import reference_states
-from xmarl_bench.plugins.registry import find_policies
+from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy import load_policy
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.default_policies import default_policies

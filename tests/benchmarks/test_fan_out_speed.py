@@ -23,7 +23,8 @@ from tests.benchmarks.conftest import Report
 from tests.helpers.units_of_work import memory, twenty_kilobytes
 from xmarl_bench.parallel.fan_out import fan_out
 from xmarl_bench.parallel.workers import Workers
-from xmarl_bench.plugins.registry import find_explainer, find_policies
+from xmarl_bench.plugins.names import find_policies
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out

@@ -18,7 +18,7 @@ from xmarl_envs import make_task
 
 from tests.baselines.reference import shipped_name
 from xmarl_bench.explain.oracle import oracle_mask
-from xmarl_bench.plugins.registry import find_policies
+from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy import load_policy
 from xmarl_bench.rollout.episodes import roll_out
 

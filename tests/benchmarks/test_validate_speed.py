@@ -16,7 +16,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from tests.bench.submission.edits import with_manifest
 from xmarl_bench.entry.file import read_entry
-from xmarl_bench.plugins.registry import find_policy
+from xmarl_bench.plugins.names import find_policy
 from xmarl_bench.policy.untrusted import WEIGHTS
 from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle
 

@@ -7,7 +7,8 @@ import runpy
 from pathlib import Path
 
 from tests.helpers.policies import small_policy
-from xmarl_bench.explain.controls import CONTROLS, INITIAL_ATTENTION, INVERTED, NEAREST
+from xmarl_bench.explain.control_names import INITIAL_ATTENTION, INVERTED, NEAREST
+from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.meta.curves import METRICS
 from xmarl_bench.meta.degenerate import kinds_of
 from xmarl_bench.metrics.table import by_name

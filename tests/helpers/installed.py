@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from xmarl_bench.plugins import registry
+from xmarl_bench.plugins import names
 
 INSTALLED: dict[str, Path] = {}
 
@@ -18,7 +18,7 @@ def installed() -> dict[str, Path]:
 
 def install(monkeypatch: pytest.MonkeyPatch, **bundles: Path) -> None:
     """Makes these the only registered policies, and the controls the only explainers."""
-    point = EntryPoint("installed", "tests.helpers.installed:installed", registry.POLICIES)
+    point = EntryPoint("installed", "tests.helpers.installed:installed", names.POLICIES)
     for name, bundle in bundles.items():
         monkeypatch.setitem(INSTALLED, name, bundle)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == registry.POLICIES else [])
+    monkeypatch.setattr(names, "entry_points", lambda group: [point] if group == names.POLICIES else [])

@@ -26,7 +26,8 @@ from xmarl_bench.entry.schema import (
     Summary,
     make_entry,
 )  # fmt: skip
-from xmarl_bench.explain.controls import CONTROLS, INVERTED, NEAREST
+from xmarl_bench.explain.control_names import INVERTED, NEAREST
+from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.reproducible import derived_seed, episode_seeds
 
 SHARES = (*ExplanationRow.model_fields, *BehaviourRow.model_fields, "seed_stability", "weight_randomisation",

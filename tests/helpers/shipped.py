@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tests.helpers.policies import random_observations
 from xmarl_bench.explain.explainer import Explainer, fit_explainer
-from xmarl_bench.plugins.registry import EXPLAINERS
+from xmarl_bench.plugins.names import EXPLAINERS
 from xmarl_bench.policy import Policy
 from xmarl_bench.rollout.simulator import Simulator
 

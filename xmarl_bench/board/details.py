@@ -8,7 +8,7 @@ from xmarl_bench.board.budgets import curves_of
 from xmarl_bench.board.columns import COLUMNS
 from xmarl_bench.board.command import command_of
 from xmarl_bench.entry.schema import CellResult, Entry
-from xmarl_bench.explain.controls import INVERTED
+from xmarl_bench.explain.control_names import INVERTED
 from xmarl_bench.metrics.table import Group, names_of
 
 DIGITS = 4  # significant digits; `leaderboard.json` has all

@@ -23,7 +23,7 @@ from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, plac
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
-from xmarl_bench.explain.controls import INVERTED
+from xmarl_bench.explain.control_names import INVERTED
 from xmarl_bench.metrics.performance_profile import performance_profile
 from xmarl_bench.metrics.statistics import interquartile_mean, probability_of_improvement
 from xmarl_bench.metrics.table import OF_EXPLAINERS, by_name, names_of

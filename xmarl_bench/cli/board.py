@@ -25,11 +25,12 @@ def build(
     """Derive leaderboard.json, leaderboard.csv and the page from the entries."""
     from xmarl_bench.board import build_board
     from xmarl_bench.errors import InputError
-    from xmarl_bench.render.board_animations import draw_missing
 
     if not (folder / "entries").is_dir():
         raise InputError(f"folder {folder / 'entries'} does not exist: give the folder of a leaderboard.")
     if animations:
+        from xmarl_bench.render.board_animations import draw_missing  # imports torch
+
         for line in draw_missing(folder):
             print(line, flush=True)
     print(f"{build_board(folder)} and {folder / 'index.html'} are up to date.")

@@ -31,7 +31,8 @@ def check_explainer(
     """Check that an explainer's masks are valid and repeat, without side effects. Exit code 1: one failed."""
     from xmarl_bench.checks.explainer_checks import check_explainer as run
     from xmarl_bench.errors import InputError
-    from xmarl_bench.plugins.registry import find_explainer, find_policies, open_policy
+    from xmarl_bench.plugins.names import find_policies
+    from xmarl_bench.plugins.registry import find_explainer, open_policy
     from xmarl_bench.tasks.sources import open_task
 
     explainer = find_explainer(name)
@@ -60,7 +61,7 @@ def check_policy(
     from xmarl_bench.checks.policy_checks import check_policy as run
     from xmarl_bench.plugins.registry import open_policy
     from xmarl_bench.rollout.cell import Cell
-    from xmarl_bench.scoring.request import check_fit
+    from xmarl_bench.scoring.arguments import check_fit
     from xmarl_bench.tasks.sources import open_task
 
     given = None if task is None else open_task(task, trust_code=trust_code).name

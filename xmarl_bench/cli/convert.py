@@ -115,7 +115,7 @@ def convert(
     from xmarl_bench.policy.bundle import packed, write_bundle
     from xmarl_bench.policy.shapes import weight_shapes
     from xmarl_bench.rollout.cell import Cell
-    from xmarl_bench.scoring.request import check_fit
+    from xmarl_bench.scoring.arguments import check_fit
     from xmarl_bench.tasks.sources import open_task
 
     if out is not None and out.exists():

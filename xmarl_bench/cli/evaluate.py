@@ -42,6 +42,7 @@ def evaluate(
     """Measure how well policies do their task, with messages between agents and without."""
     from xmarl_bench.cli import tables
     from xmarl_bench.cli.fitted_table import print_table
+    from xmarl_bench.cli.score_table import performance_rows
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.rollout.cell import Sampling
     from xmarl_bench.rollout.evaluation import evaluate as run
@@ -62,7 +63,7 @@ def evaluate(
             [{"policy": card.name, **each.record()} for card, each in zip(cards, performances, strict=True)]
         )
         return
-    rows = tables.performance_rows(cards, performances)
+    rows = performance_rows(cards, performances)
     if markdown:
         print(tables.markdown(rows))
     else:

@@ -19,17 +19,17 @@ class Kind(StrEnum):
 
 def list_(kind: Annotated[Kind, typer.Argument(help="What to list.")], as_json: AsJson = False) -> None:
     """List tasks, policies or explainers."""
-    from xmarl_bench.cli import tables
+    from xmarl_bench.cli import listings, tables
     from xmarl_bench.cli.fitted_table import print_table
     from xmarl_bench.errors import InputError
 
     failures: Sequence[InputError] = ()
     if kind is Kind.tasks:
-        rows = tables.tasks()
+        rows = listings.tasks()
     elif kind is Kind.policies:
-        rows, failures = tables.policies()
+        rows, failures = listings.policies()
     else:
-        rows, failures = tables.explainers()
+        rows = listings.explainers()
     if as_json:
         tables.print_json(rows)
     elif rows or not failures:

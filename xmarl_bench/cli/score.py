@@ -104,19 +104,19 @@ def score(
     """
     from dataclasses import replace
 
-    from xmarl_bench.board import build_board
-    from xmarl_bench.cli import tables
     from xmarl_bench.counted import counted
     from xmarl_bench.entry.file import read_entries, write_entry
+    from xmarl_bench.origin.references import is_reference
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.files import locked, remove_leftovers
-    from xmarl_bench.rollout.cell import Sampling
+    from xmarl_bench.rollout.cell import Sampling, check_parallel
+    from xmarl_bench.scoring.arguments import check_among, check_behaviour_episodes
     from xmarl_bench.scoring.cache import Cache
-    from xmarl_bench.scoring.score import Failed, score_requests
-    from xmarl_bench.scoring.selection import plan, select_explainers, select_policies
+    from xmarl_bench.scoring.selection import choose_policies, explainers_meant, select_explainers
 
+    names = explainers_meant(explainer)
     if suite == "planted":
-        _score_planted(select_explainers(explainer), seed, out)
+        _score_planted(select_explainers(names), seed, out)
         return
     workers = Workers(jobs, backend, address)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
@@ -125,9 +125,23 @@ def score(
         episodes=episodes if slow_episodes is None else min(episodes, slow_episodes),
         timesteps=min((t for t in (timesteps, slow_timesteps) if t is not None), default=None),
     )
-    explainers = select_explainers(explainer)
+    check_parallel(parallel_episodes)
+    check_behaviour_episodes(behaviour_episodes)
+    if not any(map(is_reference, names)):  # code says its name when it runs
+        check_among(no_behaviour, names)
+    chosen = choose_policies(policy, task, agents, team, trust_code=trust_code)
+    read_entries(out / "entries")  # fails now rather than after the run if the board cannot be built
+
+    # Whatever needs no network was checked above: these import torch, which takes seconds.
+    from xmarl_bench.board import build_board
+    from xmarl_bench.cli import tables
+    from xmarl_bench.cli.score_table import print_scores
+    from xmarl_bench.scoring.request import plan
+    from xmarl_bench.scoring.score import Failed, score_requests
+
+    explainers = select_explainers(names)
     requests = plan(
-        select_policies(policy, task, agents, team, trust_code=trust_code),
+        [each.open() for each in chosen],
         explainers,
         sampling,
         slow,
@@ -138,7 +152,6 @@ def score(
     with locked(out):
         for folder in (out, out / "entries"):
             remove_leftovers(folder)
-        read_entries(out / "entries")  # fails now rather than after the run if the board cannot be built
         try:
             for outcome in score_requests(
                 requests,
@@ -161,7 +174,7 @@ def score(
             if entries:  # also after an interruption
                 board = build_board(out)
     if entries:
-        tables.print_scores(entries, explainers)
+        print_scores(entries, explainers)
         where = f"{out / 'entries'}, leaderboard in {board} and {out / 'index.html'}"
         print(f"{counted(len(entries), 'entry')} in {where}.")
     tables.exit_for_failures(failed, len(requests))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from xmarl_bench.cli.options import AsJson, CacheFolder
+from xmarl_bench.counted import counted
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
+
+if TYPE_CHECKING:
+    from xmarl_bench.scoring.run_record import Progress, RunRecord
 
 
 def status(
@@ -31,8 +36,40 @@ def status(
         raise InputError(
             f"{cache} has no record of a run{which}: start one with `xmarl-bench score`, or give --cache."
         )
-    rows = tables.run_rows([(record, record.progress(known)) for record in records])
+    rows = _rows([(record, record.progress(known)) for record in records])
     if as_json:
         tables.print_json(rows)
     else:
-        tables.print_runs(rows)
+        _print(rows)
+
+
+def _rows(records: Sequence[tuple[RunRecord, Progress]]) -> list[dict[str, Any]]:
+    states = {True: "running", False: "stopped", None: "on another machine"}
+    return [
+        {
+            "folder": record.out,
+            "command": record.command,
+            "started": record.started,
+            "state": "finished" if progress.done == progress.pieces else states[progress.running],
+            "pieces": [progress.done, progress.pieces],
+            "entries": [progress.entries, len(record.asked)],
+            "explainers": {name: list(counts) for name, counts in progress.explainers.items()},
+            "failures": sorted(set(progress.failures.values())),
+        }
+        for record, progress in records
+    ]
+
+
+def _print(rows: Sequence[dict[str, Any]]) -> None:
+    for row in rows:
+        (done, pieces), (complete, entries) = row["pieces"], row["entries"]
+        print(
+            f"{row['folder']}: {row['state']}, {done} of {counted(pieces, 'piece')}, "
+            f"{complete} of {counted(entries, 'entry')}."
+        )
+        print(f"  {row['command']} ({row['started']})")
+        for name, (done, pieces) in row["explainers"].items():
+            if done < pieces:
+                print(f"  {name}: {done} of {pieces}")
+        for failure in row["failures"]:
+            print(f"  failed: {failure.splitlines()[0]}")

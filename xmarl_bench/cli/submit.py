@@ -49,7 +49,7 @@ def submit(
         raise InputError(f"none of the entries is of policy {name!r}: leave it out, or give its entries.")
     registered = [name for name in names if name not in given]
     if registered:
-        from xmarl_bench.plugins.registry import find_policy  # imported lazily: it imports torch
+        from xmarl_bench.plugins.names import find_policy
 
         given |= {name: find_policy(name) for name in registered}
     try:

@@ -16,15 +16,22 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.control_names import (
+    BY_ZERO,
+    INITIAL_ATTENTION,
+    NEAREST,
+    ORACLE,
+    RANDOM,
+    SOFT_ORACLE,
+    STOCHASTIC,
+    SUMMARIES,
+)
+from xmarl_bench.explain.explainer import Explain, Explainer
 from xmarl_bench.explain.oracle import oracle_mask, soft_oracle_mask
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.policy.build import initial_policy
 from xmarl_bench.tasks.sources import known_task
-
-RANDOM, INVERTED, ORACLE, SOFT_ORACLE = "random", "inverted", "oracle", "soft-oracle"
-NEAREST, INITIAL_ATTENTION = "nearest", "initial-attention"
 
 
 def ones_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
@@ -77,30 +84,25 @@ def _shape(observations: Tensor) -> tuple[int, int, int]:
     return n_steps, n_agents, n_agents
 
 
+_MASKS: dict[str, Explain] = {
+    "all-ones": ones_mask,
+    "zeros": zeros_mask,
+    RANDOM: random_mask,
+    "bernoulli": bernoulli_mask,
+    "self": self_mask,
+    ORACLE: oracle_mask,
+    SOFT_ORACLE: soft_oracle_mask,
+}
 CONTROLS: dict[str, Explainer] = {
-    control.name: control
-    for control in (
-        Explainer(
-            "all-ones",
-            ones_mask,
-            "keeps every edge: shows that a high FidDelta alone proves nothing",
-            control=True,
-        ),
-        Explainer("zeros", zeros_mask, "keeps nothing", control=True),
-        Explainer(RANDOM, random_mask, "uniform random mask", stochastic=True, control=True),
-        Explainer("bernoulli", bernoulli_mask, "random edges, half of them", stochastic=True, control=True),
-        Explainer("self", self_mask, "each agent's own edge only: explains no coordination", control=True),
-        Explainer(
-            ORACLE, oracle_mask, "the best binary mask for FidDelta", control=True, absence=Absence.ZERO
-        ),
-        Explainer(
-            SOFT_ORACLE,
-            soft_oracle_mask,
-            "the best mask found by ascent from the oracle",
-            control=True,
-            absence=Absence.ZERO,
-        ),
+    name: Explainer(
+        name,
+        _MASKS[name],
+        summary,
+        stochastic=name in STOCHASTIC,
+        control=True,
+        absence=Absence.ZERO if name in BY_ZERO else None,
     )
+    for name, summary in SUMMARIES.items()
 }
 
 

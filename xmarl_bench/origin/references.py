@@ -66,19 +66,27 @@ def check_named(name: str) -> None:
     )
 
 
+def check_reference(reference: str) -> None:
+    """Raise InputError if it has no such form, or if its file cannot be read. Runs nothing."""
+    place, _, name = reference.rpartition(":")
+    if not place or not all(part.isidentifier() for part in name.split(".")):
+        raise InputError(
+            f"{reference!r} is not a reference to an object: give path/to/file.py:Name or module:Name."
+        )
+    if _is_file(place):
+        _source(Path(place))
+
+
 def load_reference(reference: str) -> tuple[Any, Origin]:
     """The object and its origin. Runs the code of the file or module.
 
     A module must be importable: the working directory is not searched. Raises InputError if the file, module
     or name does not exist, or if importing it fails.
     """
+    check_reference(reference)
     place, _, name = reference.rpartition(":")
-    if not place or not all(part.isidentifier() for part in name.split(".")):
-        raise InputError(
-            f"{reference!r} is not a reference to an object: give path/to/file.py:Name or module:Name."
-        )
-    is_file = place.endswith(".py") or len(Path(place).parts) > 1
     sha256 = None
+    is_file = _is_file(place)
     if is_file:
         module, sha256 = _import_file(Path(place), reference)
     else:
@@ -112,16 +120,24 @@ def origin_of(found: object) -> Origin:
     return Origin(None, None, where, None if source is None else hashlib.sha256(source).hexdigest())
 
 
+def _is_file(place: str) -> bool:
+    return place.endswith(".py") or len(Path(place).parts) > 1
+
+
+def _source(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): give path/to/file.py:Name.") from None
+
+
 def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
     """Import a file as a module whose name includes the hash of its content.
 
     It can import modules beside it, as a script can. All of them are read anew each time, and pickled by
     value for worker processes.
     """
-    try:
-        source = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): give path/to/file.py:Name.") from None
+    source = _source(path)
     sha256 = hashlib.sha256(source).hexdigest()
     name = f"{path.stem}_{sha256[:12]}"
     spec = importlib.util.spec_from_file_location(name, path)

@@ -14,7 +14,7 @@ from jinja2 import Environment, StrictUndefined
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.origin.installed import package_version
-from xmarl_bench.plugins.registry import explainer_names, registered_policies
+from xmarl_bench.plugins.names import explainer_names, registered_policies
 from xmarl_bench.records.field_types import is_file_name
 from xmarl_bench.records.files import check_writable, write_atomically
 

@@ -13,7 +13,8 @@ from xmarl_bench.board.build import ANIMATIONS, animation_name
 from xmarl_bench.entry.file import read_entry
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
-from xmarl_bench.plugins.registry import find_explainer, find_policy
+from xmarl_bench.plugins.names import find_policy
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
 from xmarl_bench.render.animation import write_animation
 from xmarl_bench.render.recording import Recording, record

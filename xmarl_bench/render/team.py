@@ -6,7 +6,8 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Policy
 from xmarl_bench.render.recording import TEAMS
 from xmarl_bench.rollout.cell import Cell
-from xmarl_bench.scoring.selection import ALL, select_policies
+from xmarl_bench.scoring.arguments import ALL
+from xmarl_bench.scoring.selection import select_policies
 from xmarl_bench.tasks.sources import open_task, task_names
 
 

@@ -58,6 +58,15 @@ class Sampling:
         return episode_seeds(self.seed, self.episodes) if self.given is None else list(self.given)
 
 
+def check_parallel(parallel_episodes: int) -> None:
+    """Raise InputError if parallel_episodes < 1."""
+    if parallel_episodes < 1:
+        raise InputError(
+            f"parallel_episodes must be at least 1, got {parallel_episodes}: "
+            f"give the number of episodes to step in parallel."
+        )
+
+
 def spaced_timesteps(length: int, timesteps: int | None) -> NDArray[np.int64]:
     """Indices of at most `timesteps` evenly spaced steps of `length`: the middles of equal intervals."""
     if timesteps is None or timesteps >= length:

@@ -11,7 +11,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.table import Group, Need, metrics_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.teams_apart import step_teams
@@ -192,15 +191,6 @@ class Rollout:
                 max_cycles=self.max_cycles,
                 mask=None if self.messages else torch.eye(self.cell.n_agents),
             )
-
-
-def check_parallel(parallel_episodes: int) -> None:
-    """Raise InputError if parallel_episodes < 1."""
-    if parallel_episodes < 1:
-        raise InputError(
-            f"parallel_episodes must be at least 1, got {parallel_episodes}: "
-            f"give the number of episodes to step in parallel."
-        )
 
 
 class _Recorder:

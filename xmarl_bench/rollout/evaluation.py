@@ -18,8 +18,8 @@ from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread, torch_defaults
-from xmarl_bench.rollout.cell import BLOCK, Cell, Sampling
-from xmarl_bench.rollout.episodes import Episode, Rollout, check_parallel, mean_metrics
+from xmarl_bench.rollout.cell import BLOCK, Cell, Sampling, check_parallel
+from xmarl_bench.rollout.episodes import Episode, Rollout, mean_metrics
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from xmarl_bench.entry.schema import (
     OracleRecord,
     SanityRow,
 )
-from xmarl_bench.explain.controls import INVERTED, RANDOM
+from xmarl_bench.explain.control_names import INVERTED, RANDOM
 from xmarl_bench.explain.oracle import oracle_kind
 from xmarl_bench.explain.sampled_oracle import ORDERS
 from xmarl_bench.metrics.table import GAINS

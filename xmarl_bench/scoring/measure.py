@@ -19,7 +19,8 @@ from torch import Tensor
 from xmarl_bench.entry.protocol import SANITY_TIMESTEPS
 from xmarl_bench.entry.schema import BudgetRow, ExplanationRow, PolicyRow, SanityRow
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.controls import CONTROLS, ORACLE, SOFT_ORACLE
+from xmarl_bench.explain.control_names import ORACLE, SOFT_ORACLE
+from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.explain.oracle import ascend
 from xmarl_bench.explain.sanity import seed_stability, weight_randomisation

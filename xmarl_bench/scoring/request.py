@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES
-from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import GraphPolicy, Policy, PolicyCard
 from xmarl_bench.policy.tensors import check_tensors
 from xmarl_bench.rollout.cell import Cell, Sampling
+from xmarl_bench.scoring.arguments import ALL, check_among, check_behaviour_episodes, check_fit
 from xmarl_bench.scoring.behaviour import why_no_behaviour
 
 
@@ -30,10 +31,7 @@ class Request:
         check_tensors(self.policy, self.card.name)
         for cell in self.cells:
             check_fit(self.card, cell)
-        if self.behaviour_episodes is not None and self.behaviour_episodes < 0:
-            raise InputError(
-                f"behaviour_episodes must be at least 0, got {self.behaviour_episodes}: give 0 to play none."
-            )
+        check_behaviour_episodes(self.behaviour_episodes)
 
     def behaviours(self, cell: Cell) -> int:
         """The number of episodes of the cell that are played on the explanation."""
@@ -48,24 +46,31 @@ class Request:
         return min(self.behaviours(cell), ABSENCE_EPISODES) if isinstance(self.policy, GraphPolicy) else 0
 
 
-def check_fit(card: PolicyCard, cell: Cell) -> None:
-    """Raise InputError if the policy cannot act in the cell."""
-    continuous = card.architecture.distribution != "categorical"
-    task = cell.make().with_actions(continuous)
-    if card.architecture.obs_dim != task.obs_dim:
-        raise InputError(
-            f"policy {card.name!r} takes observations of {card.architecture.obs_dim} entries, {cell.task} "
-            f"gives {task.obs_dim}: choose a policy trained for {cell.task}."
-        )
-    if card.architecture.action_dim != task.action_width:
-        entries = "action entries" if continuous else "actions to choose from"
-        raise InputError(
-            f"policy {card.name!r} has {card.architecture.action_dim} {entries}, {cell.task} takes "
-            f"{task.action_width}: choose a policy trained for {cell.task}."
-        )
-    card.architecture.graph.check(cell.n_agents, task.obs_dim)
-    if card.task != cell.task:
-        raise InputError(
-            f"policy {card.name!r} was trained for {card.task}, not for {cell.task}: "
-            f"choose a policy trained for that task."
-        )
+def plan(
+    policies: Sequence[tuple[Policy, PolicyCard, tuple[Cell, ...]]],
+    explainers: Sequence[Explainer],
+    sampling: Sampling,
+    slow: Sampling | None = None,
+    *,
+    behaviour_episodes: int | None = None,
+    no_behaviour: Sequence[str] = (),
+) -> list[Request]:
+    """One request per policy and explainer.
+
+    slow: the sampling of explainers that declare themselves slow. If the run has one, the others are scored
+    on it as well as on `sampling`, because entries are compared on the same states only.
+    behaviour_episodes: see `Request.behaviour_episodes`. no_behaviour: names of explainers with none of
+    these, or ALL. Raises InputError if such a name is not an explainer of the run.
+    """
+    check_among(no_behaviour, [explainer.name for explainer in explainers])
+    any_slow = slow is not None and slow != sampling and any(explainer.slow for explainer in explainers)
+    requests = []
+    for policy, card, cells in policies:
+        for explainer in explainers:
+            samplings = [sampling]
+            if any_slow and slow is not None:
+                samplings = [slow] if explainer.slow else [sampling, slow]
+            none = ALL in no_behaviour or explainer.name in no_behaviour
+            played = 0 if none else behaviour_episodes
+            requests += [Request(policy, card, explainer, cells, each, played) for each in samplings]
+    return requests

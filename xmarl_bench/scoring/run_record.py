@@ -11,12 +11,15 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter, ValidationError
 
 from xmarl_bench.records.files import is_running, pretty_json, write_atomically
 from xmarl_bench.scoring.cache import RUNS, Cache
-from xmarl_bench.scoring.pieces import Plan
+
+if TYPE_CHECKING:
+    from xmarl_bench.scoring.pieces import Plan
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,7 @@ from xmarl_bench.plugins.registry import checked_name, find_explainer, open_poli
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.reproducible import torch_defaults
-from xmarl_bench.rollout.cell import Cell, Sampling
-from xmarl_bench.rollout.episodes import check_parallel
+from xmarl_bench.rollout.cell import Cell, Sampling, check_parallel
 from xmarl_bench.scoring.cache import Cache
 from xmarl_bench.scoring.cell_result import Controls, cell_result, total_cost
 from xmarl_bench.scoring.piece_keys import Keys

@@ -1,4 +1,8 @@
-"""From names to requests: selects the policies, explainers and cells of a command."""
+"""Selects the policies, explainers and cells of a command by their names.
+
+Policies are chosen by their cards, before any network is built, so that a wrong argument does not wait for
+torch.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +10,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from xmarl_bench.errors import InputError, unknown
-from xmarl_bench.explain.controls import CONTROLS
-from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.plugins.registry import (
-    explainer_names,
-    find_explainer,
-    open_policy,
-    registered_policies,
-)
-from xmarl_bench.policy import Policy, PolicyCard, load_policy
+from xmarl_bench.errors import InputError
+from xmarl_bench.explain.control_names import SUMMARIES as CONTROL_NAMES
+from xmarl_bench.origin.references import check_named, check_reference, is_reference
+from xmarl_bench.plugins.names import explainer_names, explainer_plugin, place_of, registered_policies
+from xmarl_bench.policy import PolicyCard, load_policy
 from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_checkpoint
-from xmarl_bench.rollout.cell import Cell, Sampling
-from xmarl_bench.scoring.request import Request, check_fit
+from xmarl_bench.rollout.cell import Cell
+from xmarl_bench.scoring.arguments import ALL, check_fit
 from xmarl_bench.tasks.sources import open_task
 
-ALL, FINISHED, DEFAULT = "all", "finished", "default"
-Opened = tuple[Policy, PolicyCard]
+if TYPE_CHECKING:
+    from xmarl_bench.explain.explainer import Explainer
+    from xmarl_bench.policy import Policy
+
+    Opened = tuple[Policy, PolicyCard]
+
+FINISHED, DEFAULT = "finished", "default"
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,18 @@ class Installed:
     open: Callable[[], Opened]
 
 
+@dataclass(frozen=True)
+class Chosen:
+    """A policy of a run with its cells."""
+
+    installed: Installed
+    cells: tuple[Cell, ...]
+
+    def open(self) -> tuple[Policy, PolicyCard, tuple[Cell, ...]]:
+        """Build its network."""
+        return *self.installed.open(), self.cells
+
+
 def select_policies(
     names: Sequence[str],
     tasks: Sequence[str],
@@ -43,7 +60,19 @@ def select_policies(
     *,
     trust_code: bool = False,
 ) -> list[tuple[Policy, PolicyCard, tuple[Cell, ...]]]:
-    """The policies to run, each with its cells.
+    """The policies that `choose_policies` chooses, opened."""
+    return [each.open() for each in choose_policies(names, tasks, agents, teams, trust_code=trust_code)]
+
+
+def choose_policies(
+    names: Sequence[str],
+    tasks: Sequence[str],
+    agents: Sequence[str],
+    teams: Sequence[int] = (),
+    *,
+    trust_code: bool = False,
+) -> list[Chosen]:
+    """The policies to run, each with its cells. Runs only code of policies that have their own.
 
     `all`: the policies trained for one of the given tasks and team sizes; those with their own code only with
     `trust_code`. `finished`: the same without checkpoints along training. The name of a family: the finished
@@ -58,7 +87,7 @@ def select_policies(
     meant = _meant(names, trust_code)
     if meant is not None:
         chosen = {
-            name: each.open
+            name: each
             for name, each in meant.items()
             if (any_task or each.card.task in wanted_tasks) and (sizes is None or each.card.n_agents in sizes)
         }
@@ -71,13 +100,13 @@ def select_policies(
             )
         sizes = None
     else:
-        chosen = {name: partial(open_policy, name, trust_code=trust_code) for name in names}
-    selected: list[tuple[Policy, PolicyCard, tuple[Cell, ...]]] = []
-    for name, open_it in chosen.items():
-        policy, card = open_it()
+        chosen = {name: _named(name, trust_code) for name in names}
+    selected: list[Chosen] = []
+    for name, installed in chosen.items():
+        card = installed.card
         open_task(card.task, trust_code=trust_code)
         # Names of policies are unique in a run, because files of entries are named by them.
-        if any(card.name == other.name for _, other, _ in selected):
+        if any(card.name == other.installed.card.name for other in selected):
             raise InputError(
                 f"two policies are named {card.name!r} ({name} is one): rename one, or leave it out."
             )
@@ -86,7 +115,7 @@ def select_policies(
             check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # raises the reason
         for cell in cells:
             check_fit(card, cell)
-        selected.append((policy, card, cells))
+        selected.append(Chosen(installed, cells))
     return selected
 
 
@@ -112,8 +141,7 @@ def _meant(names: Sequence[str], trust_code: bool) -> dict[str, Installed] | Non
     if trust_code:
         for name, place in installed.items():
             if not isinstance(place, Path):
-                opened = place.open(name)
-                found[name] = Installed(opened[1], partial(_already, opened))
+                found[name] = _code(name)
     if ALL in words:
         return found
     finished = {name: each for name, each in found.items() if not is_checkpoint(each.card)}
@@ -126,47 +154,43 @@ def _meant(names: Sequence[str], trust_code: bool) -> dict[str, Installed] | Non
     }
 
 
-def _already(opened: Opened) -> Opened:
-    return opened
+def _named(name: str, trust_code: bool) -> Installed:
+    place = place_of(name, trust_code=trust_code)
+    if not isinstance(place, Path):
+        return _code(name)
+    card = load_card(place)
+    return Installed(card, partial(load_policy, place, card))
+
+
+def _code(name: str) -> Installed:
+    """A policy that is code, which makes its card as it runs."""
+    from xmarl_bench.plugins.registry import open_policy  # imports torch
+
+    opened = open_policy(name, trust_code=True)
+    return Installed(opened[1], lambda: opened)
+
+
+def explainers_meant(names: Sequence[str]) -> list[str]:
+    """The explainers meant, each once; `all` omits controls, because every entry contains them.
+
+    Loads nothing. Raises InputError for an unknown name, and for a file that cannot be read.
+    """
+    if ALL in names:
+        return [name for name in explainer_names() if name not in CONTROL_NAMES]
+    for name in names:
+        check_named(name)
+        if is_reference(name):
+            check_reference(name)
+        elif name not in CONTROL_NAMES:
+            explainer_plugin(name)
+    return list(dict.fromkeys(names))
 
 
 def select_explainers(names: Sequence[str]) -> list[Explainer]:
-    """Explainers by name; `all` omits controls, because every entry contains them."""
-    everything = [name for name in explainer_names() if name not in CONTROLS]
-    return [find_explainer(name) for name in (everything if ALL in names else dict.fromkeys(names))]
+    """The explainers that `explainers_meant` means, loaded."""
+    from xmarl_bench.plugins.registry import find_explainer  # imports torch
 
-
-def plan(
-    policies: Sequence[tuple[Policy, PolicyCard, tuple[Cell, ...]]],
-    explainers: Sequence[Explainer],
-    sampling: Sampling,
-    slow: Sampling | None = None,
-    *,
-    behaviour_episodes: int | None = None,
-    no_behaviour: Sequence[str] = (),
-) -> list[Request]:
-    """One request per policy and explainer.
-
-    slow: the sampling of explainers that declare themselves slow. If the run has one, the others are scored
-    on it as well as on `sampling`, because entries are compared on the same states only.
-    behaviour_episodes: see `Request.behaviour_episodes`. no_behaviour: names of explainers with none of
-    these, or ALL. Raises InputError if such a name is not an explainer of the run.
-    """
-    names = [explainer.name for explainer in explainers]
-    for name in no_behaviour:
-        if name != ALL and name not in names:
-            raise unknown("explainer", name, [*names, ALL], "the explainers of this run")
-    any_slow = slow is not None and slow != sampling and any(explainer.slow for explainer in explainers)
-    requests = []
-    for policy, card, cells in policies:
-        for explainer in explainers:
-            samplings = [sampling]
-            if any_slow and slow is not None:
-                samplings = [slow] if explainer.slow else [sampling, slow]
-            none = ALL in no_behaviour or explainer.name in no_behaviour
-            played = 0 if none else behaviour_episodes
-            requests += [Request(policy, card, explainer, cells, each, played) for each in samplings]
-    return requests
+    return [find_explainer(name) for name in explainers_meant(names)]
 
 
 def _sizes(agents: Sequence[str]) -> list[int] | None:

@@ -26,7 +26,8 @@ from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.metrics.table import by_name
 from xmarl_bench.origin.installed import package_version
 from xmarl_bench.origin.references import Origin
-from xmarl_bench.plugins.registry import EXPLAINERS, find_explainer, find_policy
+from xmarl_bench.plugins.names import EXPLAINERS, find_policy
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import fresh_seeds

@@ -25,7 +25,7 @@ from xmarl_bench.cli.fitted_table import print_table
 from xmarl_bench.cli.options import Address, Backend
 from xmarl_bench.cli.program import Version
 from xmarl_bench.cli.program import run as run_program
-from xmarl_bench.cli.tables import performance_rows
+from xmarl_bench.cli.score_table import performance_rows
 from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers

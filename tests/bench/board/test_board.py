@@ -13,7 +13,8 @@ from xmarl_bench.board import board_of, build_board
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, Record, make_entry
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.controls import CONTROLS, NEAREST
+from xmarl_bench.explain.control_names import NEAREST
+from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import save_policy
 from xmarl_bench.rollout.cell import Cell, Sampling

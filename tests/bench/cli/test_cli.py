@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 
 from tests.conftest import MakeBundle, Ran, RunCli
 from xmarl_bench.entry.file import read_entries
-from xmarl_bench.plugins import registry
+from xmarl_bench.plugins import names
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 
 QUICK = ("--episodes", 2, "--max-cycles", 6)
@@ -43,16 +43,16 @@ def out(tmp_path: Path) -> Path:
 @pytest.fixture
 def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     points = {
-        registry.EXPLAINERS: [
-            EntryPoint(name, f"tests.helpers.example_plugins:{attribute}", registry.EXPLAINERS)
+        names.EXPLAINERS: [
+            EntryPoint(name, f"tests.helpers.example_plugins:{attribute}", names.EXPLAINERS)
             for name, attribute in [
                 ("nan", "nan"), ("late-nan", "late_nan"), ("wrong-shape", "wrong_shape"), ("crash", "crash"),
                 ("broken", "no_such_name"), ("vandal", "vandal"), ("slow", "slow"),
             ]
         ],
-        registry.POLICIES: [EntryPoint("broken-policies", "tests.bench.no_such:x", registry.POLICIES)],
+        names.POLICIES: [EntryPoint("broken-policies", "tests.bench.no_such:x", names.POLICIES)],
     }  # fmt: skip
-    monkeypatch.setattr(registry, "entry_points", lambda group: points[group])
+    monkeypatch.setattr(names, "entry_points", lambda group: points[group])
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_invalid_options_are_refused(
 def test_an_unknown_policy_is_refused_with_the_nearest_name(
     run_cli: RunCli, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(registry, "registered_policies", lambda: ({"navigation-n3": tmp_path}, []))
+    monkeypatch.setattr(names, "registered_policies", lambda: ({"navigation-n3": tmp_path}, []))
     ran = run_cli("score", "--policy", "navigaton-n3", "--explainer", "attention", "--out", out)
     assert_refused(ran, out, "'navigaton-n3'", "did you mean 'navigation-n3'?")
     ran = run_cli("score", "--policy", tmp_path / "nothing", "--explainer", "attention", "--out", out)
@@ -256,9 +256,9 @@ def test_an_invalid_explainer_is_refused_in_a_worker_process_too(
 def test_a_policy_plugin_that_fails_to_load_is_reported(run_cli: RunCli, out: Path) -> None:
     assert_refused(run_cli("score", "--out", out, "--explainer", "random"), out, "'broken-policies'")
     assert_refused(run_cli("list", "policies"), out, "'broken-policies'")
-    listed = run_cli("list", "explainers")
-    assert "vandal" in listed.out  # one failure does not hide the others
-    assert_refused(listed._replace(out=""), out, "'broken'", "failed to load")
+    listed = run_cli("list", "explainers")  # runs no code, so it cannot fail on it
+    assert listed.code == 0
+    assert {"vandal", "broken"} <= set(listed.out.split())
 
 
 def test_an_unwritable_output_folder_is_refused(
@@ -295,13 +295,11 @@ def test_list_tasks_and_explainers(run_cli: RunCli) -> None:
 
 
 def test_list_policies(run_cli: RunCli, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPatch) -> None:
-    from xmarl_bench.cli import tables
-
     folder = make_bundle("blind_discovery_v0", name="mine", seed=4)
     card = json.loads((folder / CARD).read_text())
     card["performance"] = {"with_messages": {"success_rate": 0.75}}
     (folder / CARD).write_text(json.dumps(card))
-    monkeypatch.setattr(tables, "registered_policies", lambda: ({"mine": folder}, []))
+    monkeypatch.setattr(names, "registered_policies", lambda: ({"mine": folder}, []))
     assert json.loads(run_cli("list", "policies", "--json").out) == [
         {
             "name": "mine",

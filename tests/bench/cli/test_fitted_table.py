@@ -18,8 +18,7 @@ from rich.cells import cell_len
 import xmarl_bench
 from tests.conftest import MakeBundle, RunCli
 from tests.helpers.made_entries import made_entry
-from xmarl_bench.cli import fitted_table
-from xmarl_bench.cli import tables as tables_of_commands
+from xmarl_bench.cli import fitted_table, score_table
 from xmarl_bench.cli.fitted_table import TEXT, fit, print_table
 from xmarl_bench.cli.main import app
 from xmarl_bench.counted import counted
@@ -103,7 +102,7 @@ def test_no_table_of_any_command_is_cut(
             real(*arguments, **options)
             seen[-1][width] = _plain(capsys.readouterr().out)
 
-    for module in (fitted_table, tables_of_commands):
+    for module in (fitted_table, score_table):
         monkeypatch.setattr(module, "print_tables", in_every_width)
     monkeypatch.setattr(planted_suite, "score_planted", partial(score_planted, sizes=[3], n_steps=4))
     for headlines, command in commands(make_bundle, tmp_path):

@@ -7,7 +7,8 @@ import math
 import torch
 
 from tests.helpers.policies import random_observations, small_policy
-from xmarl_bench.explain.controls import CONTROLS, INITIAL_ATTENTION, NEAREST, controls_of
+from xmarl_bench.explain.control_names import INITIAL_ATTENTION, NEAREST
+from xmarl_bench.explain.controls import CONTROLS, controls_of
 from xmarl_bench.explain.explainer import run_explainer
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.build import untrained_policy

@@ -49,7 +49,7 @@ made = table.Metric(
 )
 table.METRICS = (made, *table.METRICS)
 from xmarl_bench.board.columns import COLUMNS
-from xmarl_bench.cli.tables import SCORE_COLUMNS
+from xmarl_bench.cli.score_table import SCORE_COLUMNS
 from xmarl_bench.compare.comparison import BETTER
 from xmarl_bench.entry.protocol import DEFINITIONS
 from xmarl_bench.entry.schema import Entry

@@ -22,7 +22,7 @@ from xmarl_bench.papers.kailas2025.lenses import LENSES, Lens
 from xmarl_bench.papers.kailas2025.paper import MAIN, TRAINING, ZERO_SHOT, Performance, Reported
 from xmarl_bench.papers.kailas2025.plan import EXPLAINERS, STUDIES
 from xmarl_bench.papers.kailas2025.tables import METRIC_NAMES
-from xmarl_bench.plugins.registry import explainer_names
+from xmarl_bench.plugins.names import explainer_names
 
 CLAIMS = [claim for study in STUDIES.values() for claim in (*study.claims, *study.beyond)]
 

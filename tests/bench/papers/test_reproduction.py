@@ -27,7 +27,7 @@ from xmarl_bench.papers.kailas2025.reproduction import (
     survival,
 )
 from xmarl_bench.papers.kailas2025.results import judged_record
-from xmarl_bench.plugins.registry import find_policies
+from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy.bundle import load_card
 
 DOCS = Path(__file__).parents[3] / "docs"

@@ -98,12 +98,11 @@ def test_a_package_that_fails_to_import_is_reported_and_does_not_hide_the_others
 ) -> None:
     broken = environment.folder / "broken"
     listed = run("xmarl-bench", "list", "explainers", site=broken)
-    assert listed.code == 2
-    assert len(listed.err.splitlines()) == 1
-    for word in ("broken-explainer", "ModuleNotFoundError", "no_such_library"):
-        assert word in listed.err
-    assert "stranger-explainer" in listed.out
+    assert listed.code == 0  # a list runs nothing
+    assert {"stranger-explainer", "broken-explainer"} <= set(listed.out.split())
     everything = run("xmarl-bench", "score", "--explainer", "all", *QUICK, "--out", "board", site=broken)
     assert everything.code == 2
-    assert "broken-explainer" in everything.err
+    assert len(everything.err.splitlines()) == 1
+    for word in ("broken-explainer", "ModuleNotFoundError", "no_such_library"):
+        assert word in everything.err
     assert not (tmp_path / "board").exists()

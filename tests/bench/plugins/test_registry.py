@@ -12,24 +12,20 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.origin.plugins import load_plugin
-from xmarl_bench.plugins import registry
+from xmarl_bench.plugins import names, registry
 from xmarl_bench.tasks.parallel_task import foreign_code
 
 
 def install(monkeypatch: pytest.MonkeyPatch, **plugins: str) -> None:
     """Pretend that a package registered these explainers: name (with _ for -) = "module:object"."""
-    points = [
-        EntryPoint(name.replace("_", "-"), value, registry.EXPLAINERS) for name, value in plugins.items()
-    ]
-    monkeypatch.setattr(
-        registry, "entry_points", lambda group: points if group == registry.EXPLAINERS else []
-    )
+    points = [EntryPoint(name.replace("_", "-"), value, names.EXPLAINERS) for name, value in plugins.items()]
+    monkeypatch.setattr(names, "entry_points", lambda group: points if group == names.EXPLAINERS else [])
 
 
 def test_shipped_explainers_are_found_by_their_names() -> None:
-    names = registry.explainer_names()
-    assert names[: len(CONTROLS)] == list(CONTROLS)
-    assert {"attention", "gnn_explainer", "graphmask-pyg"} <= set(names)
+    listed = names.explainer_names()
+    assert listed[: len(CONTROLS)] == list(CONTROLS)
+    assert {"attention", "gnn_explainer", "graphmask-pyg"} <= set(listed)
     attention = registry.find_explainer("attention")
     assert (origin_of_explainer(attention).distribution, attention.control) == ("xmarl-bench", False)
     assert registry.find_explainer("random").control
@@ -56,7 +52,7 @@ def test_the_error_of_a_plugin_that_fails_to_load_names_it(
 ) -> None:
     install(monkeypatch, **{name: value})
     with pytest.raises(InputError, match=f"'{name}'.*{said}"):
-        for each in registry.explainer_names():
+        for each in names.explainer_names():
             registry.find_explainer(each)
 
 
@@ -74,13 +70,13 @@ def test_policies_come_from_plugins_or_folders(
     monkeypatch: pytest.MonkeyPatch, make_bundle: MakeBundle
 ) -> None:
     folder = make_bundle(name="mine")
-    point = EntryPoint("x", "tests.bench.plugins.test_registry:shipped", registry.POLICIES)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    point = EntryPoint("x", "tests.bench.plugins.test_registry:shipped", names.POLICIES)
+    monkeypatch.setattr(names, "entry_points", lambda group: [point])
     monkeypatch.setitem(SHIPPED, "mine", folder)
-    assert registry.find_policies() == {"mine": folder}
-    assert registry.find_policy("mine") == registry.find_policy(str(folder)) == folder
+    assert names.find_policies() == {"mine": folder}
+    assert names.find_policy("mine") == names.find_policy(str(folder)) == folder
     with pytest.raises(InputError, match=r"'yours'.*mine.*folder"):
-        registry.find_policy("yours")
+        names.find_policy("yours")
 
 
 def test_a_policy_plugin_that_fails_to_load_does_not_hide_others(
@@ -89,17 +85,17 @@ def test_a_policy_plugin_that_fails_to_load_does_not_hide_others(
     folder = make_bundle(name="mine")
     monkeypatch.setitem(SHIPPED, "mine", folder)
     points = [
-        EntryPoint("broken", "tests.bench.no_such_module:x", registry.POLICIES),
-        EntryPoint("x", "tests.bench.plugins.test_registry:shipped", registry.POLICIES),
+        EntryPoint("broken", "tests.bench.no_such_module:x", names.POLICIES),
+        EntryPoint("x", "tests.bench.plugins.test_registry:shipped", names.POLICIES),
     ]
-    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    monkeypatch.setattr(names, "entry_points", lambda group: points)
     listed = run_cli("list", "policies")
     assert listed.code == 2
     assert "mine" in listed.out
     assert "'broken'" in listed.err
     assert "ModuleNotFoundError" in listed.err
     assert registry.open_policy("mine")[1].name == "mine"
-    for look in (registry.find_policies, lambda: registry.open_policy("yours")):
+    for look in (names.find_policies, lambda: registry.open_policy("yours")):
         with pytest.raises(InputError, match="'broken'"):
             look()
 
@@ -117,7 +113,7 @@ def test_a_plugin_that_exits_when_it_is_imported_is_named(
     (tmp_path / "plugin_that_exits.py").write_text("raise SystemExit(3)\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(InputError, match=r"'leaver' .* failed to load \(SystemExit: 3\)"):
-        load_plugin(EntryPoint("leaver", "plugin_that_exits:make", registry.EXPLAINERS))
+        load_plugin(EntryPoint("leaver", "plugin_that_exits:make", names.EXPLAINERS))
 
 
 def test_a_task_that_exits_is_named() -> None:

@@ -16,7 +16,7 @@ from tests.conftest import MakeBundle, RunCli
 from xmarl_bench import PolicyModule, RadiusGraph, score
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.errors import InputError
-from xmarl_bench.plugins import registry
+from xmarl_bench.plugins import names, registry
 from xmarl_bench.policy import CodeArchitecture
 
 RAN: list[str] = []
@@ -85,8 +85,8 @@ def listed() -> dict[str, object]:
 
 @pytest.fixture
 def plugin(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("mine", f"{HERE}:listed", registry.POLICIES)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == registry.POLICIES else [])
+    point = EntryPoint("mine", f"{HERE}:listed", names.POLICIES)
+    monkeypatch.setattr(names, "entry_points", lambda group: [point] if group == names.POLICIES else [])
 
 
 @pytest.mark.usefixtures("plugin")
@@ -159,7 +159,7 @@ def test_a_plugin_s_policy_must_have_its_registered_name() -> None:
     with pytest.raises(InputError, match=r"'other'.*calls itself 'near'"):
         registry.open_policy("other", trust_code=True)
     with pytest.raises(InputError, match="has no bundle"):
-        registry.find_policy("pilot")
+        names.find_policy("pilot")
 
 
 def test_a_bundle_does_not_need_trust(make_bundle: MakeBundle) -> None:

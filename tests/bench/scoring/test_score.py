@@ -22,9 +22,8 @@ from xmarl_bench.policy import load_policy
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.reproducible import PUBLIC_SEEDS, derived_seed, episode_seeds
 from xmarl_bench.rollout.cell import Cell, Sampling
-from xmarl_bench.scoring.request import Request
+from xmarl_bench.scoring.request import Request, plan
 from xmarl_bench.scoring.score import entries_of, score, score_requests
-from xmarl_bench.scoring.selection import plan
 
 
 def bytes_of(entry: Entry) -> bytes:

@@ -16,7 +16,8 @@ from tests.bench.submission.edits import Edit, edited, with_entry, with_manifest
 from tests.conftest import RunCli
 from xmarl_bench.entry.file import read_entry, write_entry
 from xmarl_bench.entry.schema import Entry, Verification
-from xmarl_bench.explain.controls import CONTROLS, INITIAL_ATTENTION, INVERTED, NEAREST
+from xmarl_bench.explain.control_names import INITIAL_ATTENTION, INVERTED, NEAREST
+from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.policy.untrusted import WEIGHTS
 from xmarl_bench.records.files import pretty_json
 from xmarl_bench.submission import consistency

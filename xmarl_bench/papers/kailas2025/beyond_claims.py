@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from xmarl_bench.explain.controls import ORACLE
+from xmarl_bench.explain.control_names import ORACLE
 from xmarl_bench.papers.kailas2025.claims import (
     ATTENTION,
     GNN,

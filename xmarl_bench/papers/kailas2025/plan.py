@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from xmarl_bench.errors import InputError, unknown
+from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.papers.kailas2025 import main_claims, training_claims, zero_shot_claims
 from xmarl_bench.papers.kailas2025.beyond_claims import BEYOND_CLAIMS
@@ -19,8 +19,9 @@ from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell as TaskCell
 from xmarl_bench.rollout.cell import Sampling
+from xmarl_bench.scoring.arguments import ALL, check_among
 from xmarl_bench.scoring.request import Request
-from xmarl_bench.scoring.selection import ALL, select_policies
+from xmarl_bench.scoring.selection import select_policies
 
 EXPLAINERS = (*PAPER_EXPLAINERS, *(VARIANTS[name] for name in PAPER_EXPLAINERS))
 
@@ -106,10 +107,7 @@ def plan(
     behaviour: explainers whose masks the team also plays on, or ALL. Raises InputError for the name of
     another explainer.
     """
-    known = [explainer.name for explainer in explainers]
-    for name in behaviour:
-        if name != ALL and name not in known:
-            raise unknown("explainer", name, [*known, ALL], "the explainers of this study")
+    check_among(behaviour, [explainer.name for explainer in explainers])
     return [
         Request(
             policy,

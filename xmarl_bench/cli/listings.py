@@ -1,0 +1,79 @@
+"""Rows of `xmarl-bench list`. Reads cards and sources; runs no explainer and builds no network.
+
+Each list imports what it needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from xmarl_bench.cli.tables import Row
+from xmarl_bench.errors import InputError
+
+_POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_seed", "success", "code")
+
+
+def tasks() -> list[Row]:
+    """`code` is the entry point of another package's task. It is not run to be listed: the rest is None."""
+    from xmarl_envs import TASKS
+
+    from xmarl_bench.tasks.sources import task_plugins
+
+    ours = [
+        {
+            "name": name,
+            "max_agents": task.max_agents,
+            "obs_dim": len(task.observation_names),
+            "max_cycles": task.default_max_cycles,
+            "code": None,
+        }
+        for name, task in TASKS.items()
+    ]
+    others = [
+        {**dict.fromkeys(ours[0]), "name": name, "code": each.value} for name, each in task_plugins().items()
+    ]
+    return ours + others
+
+
+def policies() -> tuple[list[Row], list[InputError]]:
+    """Policies of the plugins that load, and the errors of the others.
+
+    `success` is the success rate in the card, None without one. `code` is the entry point of a policy with
+    its own code. Listing does not run the code, so its other columns are None.
+    """
+    from xmarl_bench.metrics.table import SUCCESS
+    from xmarl_bench.plugins.names import registered_policies
+    from xmarl_bench.policy.bundle import load_card
+
+    found, failures = registered_policies()
+    rows: list[Row] = []
+    for name, place in found.items():
+        if not isinstance(place, Path):
+            rows.append({**dict.fromkeys(_POLICY_COLUMNS), "name": name, "code": str(place)})
+            continue
+        try:
+            card = load_card(place)
+        except InputError as error:
+            failures.append(error)
+            continue
+        measured = card.performance.get("with_messages", {})
+        rows.append(
+            {
+                "name": name,
+                "task": card.task,
+                "n_agents": card.n_agents,
+                "attention_entropy": card.attention_entropy,
+                "training_seed": card.training_seed,
+                "success": measured.get(SUCCESS) if isinstance(measured, dict) else None,
+                "code": None,
+            }
+        )
+    return rows, failures
+
+
+def explainers() -> list[Row]:
+    """What explainers declare in their source, which is not run: None where only running it would tell."""
+    from xmarl_bench.plugins.declarations import declared_explainers
+
+    return [asdict(each) for each in declared_explainers()]

@@ -1,0 +1,148 @@
+"""Names of the policies and explainers of every installed package. Loads no explainer and no network.
+
+Explainers: entry points in group `xmarl_bench.explainers`, name -> an `Explainer` of the same name, or
+anything that `as_explainer` accepts. Policies: entry points in group `xmarl_bench.policies`, each -> a
+function without arguments that returns {policy name: folder of its bundle, or a function without arguments
+that returns a `PolicyModule`}; only the first of these functions runs here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+from xmarl_bench.errors import InputError, unknown
+from xmarl_bench.explain.control_names import SUMMARIES as CONTROL_NAMES
+from xmarl_bench.origin.plugins import load_plugin, plugin_error
+from xmarl_bench.origin.references import check_named, is_reference
+from xmarl_bench.policy.untrusted import CARD
+
+EXPLAINERS, POLICIES = "xmarl_bench.explainers", "xmarl_bench.policies"
+
+
+@dataclass(frozen=True)
+class PolicyCode:
+    """A policy that an installed package makes by running its code."""
+
+    plugin: EntryPoint
+    factory: Callable[[], object]
+
+    def __str__(self) -> str:
+        return self.plugin.value
+
+
+def explainer_names() -> list[str]:
+    """Controls first, then plugins by name. Loads nothing."""
+    return [*CONTROL_NAMES, *sorted(explainer_plugins())]
+
+
+def explainer_plugin(name: str) -> EntryPoint:
+    plugins = explainer_plugins()
+    if name not in plugins:
+        raise unknown(
+            "explainer", name, [*CONTROL_NAMES, *plugins], "or give path/to/file.py:Name or module:Name"
+        )
+    return plugins[name]
+
+
+def explainer_plugins() -> dict[str, EntryPoint]:
+    plugins: dict[str, EntryPoint] = {}
+    for plugin in entry_points(group=EXPLAINERS):
+        if plugin.name in CONTROL_NAMES or plugin.name in plugins:
+            other = plugins[plugin.name].value if plugin.name in plugins else "a control of xmarl-bench"
+            raise InputError(
+                f"explainer {plugin.name!r} ({plugin.value}) has the name of {other}: rename one."
+            )
+        plugins[plugin.name] = plugin
+    return plugins
+
+
+def find_policies() -> dict[str, Path]:
+    """Every registered policy that is a bundle: name -> its folder, sorted by name.
+
+    Raises InputError if a plugin does not load.
+    """
+    policies, failures = registered_policies()
+    if failures:
+        raise failures[0]
+    return {name: place for name, place in policies.items() if isinstance(place, Path)}
+
+
+def find_policy(name_or_bundle: str) -> Path:
+    """The bundle's folder or zip. Raises InputError for an unknown name and for a policy that is code."""
+    check_named(name_or_bundle)
+    if _is_bundle(name_or_bundle):
+        return Path(name_or_bundle)
+    place = _registered_policy(name_or_bundle)
+    if isinstance(place, PolicyCode):
+        raise InputError(f"policy {name_or_bundle!r} is code ({place}) and has no bundle: choose another.")
+    return place
+
+
+def place_of(name: str, *, trust_code: bool = False) -> Path | PolicyCode | None:
+    """The bundle of a policy, or its code; None for a reference `module:factory`, which is not loaded.
+
+    Raises InputError if there is no such policy, and for code without `trust_code`.
+    """
+    check_named(name)
+    if _is_bundle(name):
+        return Path(name)
+    place = None if is_reference(name) else _registered_policy(name)
+    if not isinstance(place, Path) and not trust_code:
+        raise InputError(
+            f"policy {name!r} runs its own code: read it, and add --trust-code (trust_code=True) if you "
+            f"trust it."
+        )
+    return place
+
+
+def _is_bundle(name: str) -> bool:
+    """Whether `name` is a folder with a card, or looks like a path and not like a reference to code."""
+    path = Path(name)
+    looks_like_one = len(path.parts) > 1 or path.suffix == ".zip"
+    return (path / CARD).is_file() or (looks_like_one and not is_reference(name))
+
+
+def _registered_policy(name: str) -> Path | PolicyCode:
+    """A registered policy. Raises InputError for an unknown name: of a plugin that failed to load, if any."""
+    policies, failures = registered_policies()
+    if name in policies:
+        return policies[name]
+    if failures:
+        raise failures[0]
+    raise unknown("policy", name, policies, "or give the folder of a bundle, or module:factory")
+
+
+def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError]]:
+    """Every registered policy by name, and the errors of the plugins that failed to load.
+
+    Raises InputError if two policies have the same name.
+    """
+    found: dict[str, Path | PolicyCode] = {}
+    failures: list[InputError] = []
+    for plugin in entry_points(group=POLICIES):
+        try:
+            places = _places(plugin)
+        except InputError as error:
+            failures.append(error)
+            continue
+        for name, place in places.items():
+            if name in found:
+                raise InputError(
+                    f"policy {name!r} is registered twice ({found[name]} and {place}): rename one."
+                )
+            found[name] = place
+    return dict(sorted(found.items())), failures
+
+
+def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
+    listed = load_plugin(plugin)
+    try:
+        return {
+            str(name): PolicyCode(plugin, place) if callable(place) else Path(place)
+            for name, place in listed().items()
+        }
+    except (Exception, SystemExit) as error:
+        raise plugin_error(plugin, error) from error

@@ -54,9 +54,9 @@ def check_explainer(
     """
     with one_thread():
         # One that simulates is given the simulator of one episode, and the states of no other.
-        states = fit_states(policy, task, n_agents, episodes=1 if explainer.simulates else FIT_EPISODES)
-        states = states[torch.from_numpy(spaced_timesteps(len(states), timesteps))]
-        ready = fitted(explainer, policy, task, n_agents, SEED)
+        played = fit_states(policy, task, n_agents, episodes=1 if explainer.simulates else FIT_EPISODES)
+        states = played[torch.from_numpy(spaced_timesteps(len(played), timesteps))]
+        ready = fitted(explainer, policy, lambda: played, SEED)
         ready = replace(ready, simulator=Simulator(task, n_agents, FIRST_FIT_SEED))
         yield from run_checks(CHECKS, ExplainerSubject(ready, policy, states))
 

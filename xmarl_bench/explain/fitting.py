@@ -7,6 +7,7 @@ and sampling. An explainer is fitted once per policy and team size.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -33,10 +34,12 @@ def fit_states(policy: Policy, task: str, n_agents: int, episodes: int = FIT_EPI
     )
 
 
-def fitted(explainer: Explainer, policy: Policy, task: str, n_agents: int, seed: int) -> Explainer:
-    """The explainer, fitted to the policy if it needs fitting. seed: of the run. Raises InputError."""
+def fitted(explainer: Explainer, policy: Policy, states: Callable[[], Tensor], seed: int) -> Explainer:
+    """The explainer, fitted to the policy if it needs fitting. seed: of the run. Raises InputError.
+
+    states: gives the policy's `fit_states`, which take seconds to play.
+    """
     if explainer.fit is None:
         return explainer
-    states = fit_states(policy, task, n_agents)
     with one_thread():
-        return fit_explainer(explainer, policy, states, derived_seed("fit", seed, explainer.name))
+        return fit_explainer(explainer, policy, states(), derived_seed("fit", seed, explainer.name))

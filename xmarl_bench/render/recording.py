@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from xmarl_envs.scene import Drawable, Picture, Track
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer, run_explainer
-from xmarl_bench.explain.fitting import fitted
+from xmarl_bench.explain.fitting import fit_states, fitted
 from xmarl_bench.policy import Policy
 from xmarl_bench.render.ring import Ring
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
@@ -54,7 +55,8 @@ class Recording:
                 f"choose a policy, or leave the explainer out."
             )
         task, n_agents = self.task.name, self.task.n_agents
-        explainer = fitted(explainer, self.policy, task, n_agents, self.run_seed)
+        states = partial(fit_states, self.policy, task, n_agents)
+        explainer = fitted(explainer, self.policy, states, self.run_seed)
         explainer = replace(explainer, simulator=Simulator(task, n_agents, self.seed))
         seed = derived_seed("explainer", self.run_seed, explainer.name, self.seed)
         with one_thread():

@@ -13,12 +13,12 @@ from torch import Tensor
 
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.explain.controls import controls_of
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.fitting import fitted
+from xmarl_bench.explain.fitting import fit_states, fitted
 from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers
+from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.rollout.episodes import Episode, Rollout
 from xmarl_bench.rollout.simulator import Simulator
 from xmarl_bench.scoring.behaviour import BehaviourBlock, Played
@@ -34,8 +34,11 @@ Returned = list[Measured] | Played | InputError
 
 
 def play(rollout: PolicyPayload[Rollout]) -> list[Episode]:
-    """On a worker: play episodes."""
-    return rollout.work.play()
+    """On a worker: play episodes. Of a team without messages only the task metrics are read."""
+    episodes = rollout.work.play()
+    if rollout.work.messages:
+        return episodes
+    return [replace(each, observations=each.observations[:, :0]) for each in episodes]
 
 
 def run(payload: Payload) -> Returned:
@@ -61,7 +64,7 @@ class Sweep:
     unsettled: set[str] = field(default_factory=set)
     errors: dict[str, str] = field(default_factory=dict)
     _ready: dict[tuple[Environment, str], Explainer] = field(default_factory=dict)  # fitted to its policy
-    _references: dict[Environment, Tensor | None] = field(default_factory=dict)
+    _states: dict[Environment, Tensor] = field(default_factory=dict)  # that explainers are fitted on
     _known_controls: dict[Environment, tuple[Explainer, ...]] = field(default_factory=dict)
 
     def compute(self, pieces: Iterable[Piece]) -> Iterator[Piece]:
@@ -140,9 +143,8 @@ class Sweep:
                         yield self._settle(piece, InputError(self.errors[piece.key]))
 
     def _fit(self, name: str, environment: Environment) -> None:
-        cell = environment.cell
         self._ready[environment, name] = fitted(
-            self.explainers[name], environment.policy, cell.task, cell.n_agents, environment.seed
+            self.explainers[name], environment.policy, lambda: self._fit_states(environment), environment.seed
         )
 
     def _try(self, name: str, environment: Environment, pieces: Sequence[Piece]) -> bool:
@@ -202,15 +204,21 @@ class Sweep:
         )
 
     def _in_world(self, name: str, environment: Environment, episode: Episode) -> Explainer:
-        """The explainer, fitted to the policy, with the simulator of the episode."""
-        simulator = Simulator(environment.cell.task, environment.cell.n_agents, episode.seed)
-        return replace(self._ready[environment, name], simulator=simulator)
+        """The explainer, fitted to the policy, with the simulator of the episode if it simulates."""
+        ready, cell = self._ready[environment, name], environment.cell
+        if not ready.simulates:
+            return ready
+        return replace(ready, simulator=Simulator(cell.task, cell.n_agents, episode.seed))
+
+    def _fit_states(self, environment: Environment) -> Tensor:
+        if environment not in self._states:
+            cell = environment.cell
+            self._states[environment] = fit_states(environment.policy, cell.task, cell.n_agents)
+        return self._states[environment]
 
     def _reference(self, environment: Environment) -> Tensor | None:
-        if environment not in self._references:
-            cell = environment.cell
-            self._references[environment] = reference_states(environment.policy, cell.task, cell.n_agents)
-        return self._references[environment]
+        """The states of `xmarl_bench.explain.absence.reference_states`, played once with those to fit on."""
+        return self._fit_states(environment) if isinstance(environment.policy, GraphPolicy) else None
 
     def _controls(self, environment: Environment) -> tuple[Explainer, ...]:
         if environment not in self._known_controls:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from itertools import zip_longest
 
 import numpy as np
@@ -16,12 +17,11 @@ import numpy as np
 from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.entry.schema import BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
-from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.explain.controls import controls_of
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.fitting import fitted
+from xmarl_bench.explain.fitting import fit_states, fitted
 from xmarl_bench.metrics.table import OPTIONAL
-from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.policy import GraphPolicy, Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
 from xmarl_bench.rollout.simulator import Simulator
@@ -101,13 +101,14 @@ def record_findings(entry: ExplainerRecord, found: ExplainerRecord) -> Iterator[
 
 def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen: Sequence[int]) -> None:
     sampling = request.sampling
-    explainer = fitted(request.explainer, request.policy, cell.task, cell.n_agents, sampling.seed)
+    states = cache(partial(fit_states, request.policy, cell.task, cell.n_agents))
+    explainer = fitted(request.explainer, request.policy, states, sampling.seed)
     seeds = tuple(sampling.seeds[k] for k in chosen)
     rollouts = [
         Rollout(request.policy, request.cells[0], seeds, sampling.max_cycles, messages=messages)
         for messages in (True, False)
     ]
-    reference = reference_states(request.policy, cell.task, cell.n_agents)
+    reference = states() if isinstance(request.policy, GraphPolicy) else None
     for k, episode, mute in zip(chosen, *(each.play() for each in rollouts), strict=True):
         sanity = k < SANITY_EPISODES
         ready = replace(explainer, simulator=Simulator(cell.task, cell.n_agents, episode.seed))

@@ -15,6 +15,7 @@ from xmarl_bench.render.recording import record
 from xmarl_bench.reproducible import PUBLIC_SEEDS, TRAINING_SEEDS
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.scoring import sweep
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
 
@@ -47,7 +48,16 @@ def test_states_are_from_episodes_that_no_score_plays() -> None:
     assert sum(row.numpy().tobytes() in seen for row in states) == min(FIT_TIMESTEPS, episode.makespan)
 
 
-def test_a_run_fits_once_and_refits_for_shuffled_weights(make_bundle: MakeBundle) -> None:
+def test_a_run_fits_once_and_refits_for_shuffled_weights(
+    make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: list[str] = []
+
+    def counted(policy: Policy, task: str, n_agents: int) -> Tensor:
+        played.append(task)
+        return fit_states(policy, task, n_agents)
+
+    monkeypatch.setattr(sweep, "fit_states", counted)
     policy, card = load_policy(make_bundle())
     learner = as_explainer(Learner)
     samplings = (
@@ -57,6 +67,7 @@ def test_a_run_fits_once_and_refits_for_shuffled_weights(make_bundle: MakeBundle
     requests = [Request(policy, card, learner, (Cell(card.task, 3),), each, 1) for each in samplings]
     FITTED.clear()
     entries = list(entries_of(score_requests(requests)))
+    assert len(played) == 1  # also for the absence models of both samplings
     first, *others = FITTED
     shuffled = [weights for weights, _ in others]
     assert len(shuffled) == 5  # sanity checks of 3 and of 2 episodes

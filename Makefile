@@ -26,7 +26,7 @@ SCORE_OPTIONS ?= --policy default --explainer attention $(OTHERS:%=--explainer %
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv score larger quick test lint type board bench wheel-test
+.PHONY: help venv score larger quick test lint type board docs bench wheel-test
 
 help:  ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -75,6 +75,10 @@ board: $(STAMP)  ## Bring leaderboard/ and the documents made of it up to date, 
 	$(BIN)/xmarl-bench verify leaderboard --tier full --by $(SIGNED) --resume --jobs 2
 	$(BIN)/xmarl-bench board build leaderboard
 	for each in ranking findings scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
+
+docs: $(STAMP)  ## Build the documentation site into site/
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt 'mkdocs<2' mkdocs-material
+	$(BIN)/python docs/make_site.py
 
 bench: $(STAMP)  ## Measure tasks, explainers and trainer beside those of others
 	$(BIN)/python -m pytest --benchmark-only tests/benchmarks

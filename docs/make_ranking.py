@@ -1,4 +1,4 @@
-"""Writes the ranking that README.md shows, from leaderboard/leaderboard.json.
+"""Writes the answer and the ranking that README.md shows, from leaderboard/leaderboard.json.
 
     .venv/bin/python docs/make_ranking.py
 
@@ -12,9 +12,9 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parent.parent
-BEGIN, END = "<!-- ranking:begin -->\n", "<!-- ranking:end -->"
+from xmarl_bench.counted import counted
 
+ROOT = Path(__file__).parent.parent
 
 CONTROLS = {
     "all-ones": "the mask of ones",  # FidDelta cannot tell it from the best one
@@ -23,22 +23,24 @@ CONTROLS = {
 }
 
 
-def section(ranking: dict[str, Any]) -> str:
-    """The explainers and three controls in order."""
-    ranked = [row for row in ranking["rows"] if row["rank"] is not None]
-    alike = [row["explainer"] for row in ranked if row["tie_group"] == 1]
+def answer(ranking: dict[str, Any]) -> str:
+    """Who is first, how surely, and what the controls get."""
+    alike = [row["explainer"] for row in ranking["rows"] if row["rank"] is not None and row["tie_group"] == 1]
     others = f", without a significant difference to {', '.join(alike[1:])}" if alike[1:] else ""
     best = alike[0]
-    answer = (
-        f"**{best}** is first{others} (95 %, over {len(ranking['policies'])} policies). The nearest agent, "
-        f"which ignores the policy, gets {_value(ranking, 'nearest'):.2f}. The mask of ones gets "
-        f"{_value(ranking, 'all-ones'):.2f}, although its FidDelta is {_delta(ranking, 'all-ones'):.2f} "
-        f"({best}: {_delta(ranking, best):.2f})."
+    text = (
+        f"**{best}** is first{others} (95 %, over {counted(len(ranking['policies']), 'policy')}). "
+        f"The nearest agent, which ignores the policy, gets {_value(ranking, 'nearest'):.2f}. "
+        f"The mask of ones gets {_value(ranking, 'all-ones'):.2f}, although its FidDelta is "
+        f"{_delta(ranking, 'all-ones'):.2f} ({best}: {_delta(ranking, best):.2f})."
     )
+    return "\n".join(textwrap.wrap(text, 118, break_on_hyphens=False)) + "\n"
+
+
+def section(ranking: dict[str, Any]) -> str:
+    """The explainers and three controls in order."""
     lines = [
-        *textwrap.wrap(answer, 118, break_on_hyphens=False),
-        "",
-        f"Means over the {len(ranking['policies'])} policies scored (`make board`); 0 is a random "
+        f"Means over the {counted(len(ranking['policies']), 'policy')} scored (`make board`); 0 is a random "
         "ranking of the messages and 1 the best one:",
         "",
         "| explainer | message fidelity | FidDelta |",
@@ -62,12 +64,14 @@ def _delta(ranking: dict[str, Any], name: str) -> float:
 
 
 def page(text: str, leaderboard: dict[str, Any]) -> str:
-    """The README with this part replaced by the ranking over all tasks and team sizes."""
+    """The README with its answer and its ranking, over all tasks and team sizes."""
     (ranking,) = (
         each for each in leaderboard["rankings"] if each["task"] is None and each["oracle"] == "enumerated"
     )
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    return before + BEGIN + section(ranking) + END + after
+    for name, part in (("answer", answer(ranking)), ("ranking", section(ranking))):
+        begin, end = f"<!-- {name}:begin -->\n", f"<!-- {name}:end -->"
+        text = text.split(begin)[0] + begin + part + end + text.split(end)[1]
+    return text
 
 
 def built() -> dict[str, Any]:

@@ -194,7 +194,10 @@ def filled(text: str) -> str:
     return text
 
 
-CURVES = {"success_rate": "success rate", "no_agent_collision": "episodes without agent collision"}
+CURVES = {
+    "success_rate": "success rate",
+    "no_agent_collision": "episodes without\nagent collision (share)",
+}
 COLOURS = {3: "#0072b2", 4: "#d55e00", 5: "#009e73"}  # by team size
 
 
@@ -220,21 +223,22 @@ def draw(path: Path) -> None:
             panel.plot(
                 [record["frames"] / 1e6 for record in curve], [record[name] for record in curve],
                 "--" if regularised else "-", color=COLOURS[card.n_agents], linewidth=1.2,
-                label=f"N = {card.n_agents}" + (", regularised" if regularised else ""),
+                label=f"{card.n_agents} agents" + (", attention-entropy term" if regularised else ""),
             )  # fmt: skip
         panel.set_ylim(-0.02, 1.02)
         panel.grid(alpha=0.25)
     for panel, task in zip(panels[0], tasks, strict=True):
         panel.set_title(task)
     for panel in panels[-1]:
-        panel.set_xlabel("frames (millions of team-steps)")
+        panel.set_xlabel("training so far (million steps of a team)")
     for panel, (family, name) in zip(panels[:, 0], rows, strict=True):
-        panel.set_ylabel(f"{family}: {CURVES[name]}" if family else CURVES[name], fontsize=8)
+        panel.set_ylabel(f"{family} network\n{CURVES[name]}" if family else CURVES[name], fontsize=9)
     named = [panel.get_legend_handles_labels() for panel in panels.flat]
     labels = {label: handle for both in named for handle, label in zip(*both, strict=True)}
     unique = dict(sorted(labels.items()))
-    figure.legend(unique.values(), unique.keys(), loc="lower center", ncols=len(unique), frameon=False)
-    figure.tight_layout(rect=(0, 0.12 / len(rows), 1, 1))
+    figure.suptitle("How the shipped policies learned: validation episodes, with messages between agents")
+    figure.legend(unique.values(), unique.keys(), loc="lower center", ncols=3, frameon=False)
+    figure.tight_layout(rect=(0, 0.2 / len(rows), 1, 1))
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
 

@@ -1,4 +1,4 @@
-"""A comparison as a picture: means and differences with their intervals, and performance profiles."""
+"""A comparison as a picture: means with their intervals and tie groups, differences, performance profiles."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from typing import TYPE_CHECKING
 from xmarl_bench.compare.comparison import Comparison
 from xmarl_bench.counted import counted
 from xmarl_bench.errors import InputError
-from xmarl_bench.metrics.statistics import Difference
 from xmarl_bench.records.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
-# For tie groups in order; colour-blind people can distinguish these colours (Okabe and Ito).
+# Of the profiles, in order; colour-blind people can distinguish these colours (Okabe and Ito).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-DASHES = ("-", "--", ":", "-.")
-GREY = "#777777"
+DASHES = ("-", "--", ":", "-.", (0, (8, 3)), (0, (1, 4)))
+GREY, BAND = "#777777", "#eef1f5"
+BETTER, MAYBE = "#9ecae1", "#deebf7"  # cells of a significant difference, and of one by its interval alone
 SIGNIFICANT = 0.05
+ROW, CELL, CHARACTER = 0.34, 0.62, 0.075  # inches: a row, a column of the differences, a letter of a name
 
 
 def check_picture(path: Path) -> None:
@@ -40,37 +42,86 @@ def check_picture(path: Path) -> None:
 
 
 def draw(comparisons: Sequence[Comparison], path: Path) -> None:
-    """One row per metric: means, differences of all pairs, profiles. Equal comparisons give equal bytes."""
+    """Write the picture. Equal comparisons give equal bytes."""
     import matplotlib
+
+    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
+    data = io.BytesIO()
+    with matplotlib.rc_context({"font.size": 9, "svg.hashsalt": "compare", "pdf.fonttype": 42}):
+        figure_of(comparisons).savefig(data, format=path.suffix[1:], dpi=150, metadata=metadata)
+    write_atomically(path, data.getvalue())
+
+
+def figure_of(comparisons: Sequence[Comparison]) -> Figure:
+    """One row per metric: means, differences of all pairs, profiles; as large as names and numbers need."""
     from matplotlib.figure import Figure
 
-    heights = [max(2.4, 0.6 + 0.26 * max(len(each.standings), len(each.pairs))) for each in comparisons]
-    with matplotlib.rc_context({"font.size": 9, "svg.hashsalt": "compare", "pdf.fonttype": 42}):
-        figure = Figure(figsize=(15, sum(heights) + 0.6), layout="constrained")
-        panels = figure.subplots(len(comparisons), 3, squeeze=False, height_ratios=heights)
-        for (left, right, profiles), each in zip(panels, comparisons, strict=True):
-            _profiles(profiles, each)
-            names = [standing.explainer for standing in each.standings]
-            for k, standing in enumerate(each.standings):
-                _interval(left, k, standing.mean, COLOURS[(standing.tie_group - 1) % len(COLOURS)])
-            left.set_yticks(range(len(names)), names)
-            left.set_title(f"{each.metric}, {each.better} is better; one colour: tied", fontsize=9)
-            for k, pair in enumerate(each.pairs):
-                filled = pair.p_holm is not None and pair.p_holm < SIGNIFICANT
-                _interval(right, k, pair.difference, GREY if pair.difference.holds_zero else "black", filled)
-            right.axvline(0.0, color=GREY, linewidth=0.8)
-            right.set_yticks(range(len(each.pairs)), [f"{pair.first} - {pair.second}" for pair in each.pairs])
-            right.set_title(f"difference; filled: Holm p < {SIGNIFICANT}", fontsize=9)
-            for panel, n_rows in ((left, len(names)), (right, len(each.pairs))):
-                panel.set_ylim(n_rows - 0.5, -0.5)  # the first on top
-                panel.spines[["top", "right"]].set_visible(False)
-        n = len(comparisons[0].states)
-        over = counted(n, "policy") if n > 1 else "the episodes of one policy"
-        figure.supxlabel(f"95 % intervals over {over}", fontsize=9)
-        data = io.BytesIO()
-        metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
-        figure.savefig(data, format=path.suffix[1:], dpi=150, metadata=metadata)
-    write_atomically(path, data.getvalue())
+    n = max(len(each.standings) for each in comparisons)
+    name = CHARACTER * max(len(standing.explainer) for each in comparisons for standing in each.standings)
+    widths = [name + 4.0, name + max(2.0, CELL * n), name + 4.5]
+    heights = [1.2 + name + max(2.0, ROW * len(each.standings)) for each in comparisons]
+    figure = Figure(figsize=(sum(widths) + 0.6, sum(heights) + 0.6), layout="constrained")
+    panels = figure.subplots(len(comparisons), 3, squeeze=False, height_ratios=heights, width_ratios=widths)
+    for (left, middle, right), each in zip(panels, comparisons, strict=True):
+        _means(left, each)
+        _differences(middle, each)
+        _profiles(right, each)
+    n_states = len(comparisons[0].states)
+    over = counted(n_states, "policy") if n_states > 1 else "the episodes of one policy"
+    figure.supxlabel(f"95 % intervals over {over}", fontsize=9)
+    return figure
+
+
+def _means(panel: Axes, comparison: Comparison) -> None:
+    """The explainers in order, with a band and a number for each tie group."""
+    standings = comparison.standings
+    for k, standing in enumerate(standings):
+        mean = standing.mean
+        if mean.interval is not None:
+            panel.hlines(k, *mean.interval, color="black", linewidth=2)
+        panel.plot(
+            mean.value if mean.value is not None else float("nan"), k, "o", color="black", markersize=6
+        )
+    for group in sorted({standing.tie_group for standing in standings}):
+        rows = [k for k, standing in enumerate(standings) if standing.tie_group == group]
+        if group % 2:
+            panel.axhspan(rows[0] - 0.5, rows[-1] + 0.5, color=BAND, zorder=0)
+        middle = (rows[0] + rows[-1]) / 2
+        panel.annotate(
+            f"{group}", (1.01, middle), xycoords=("axes fraction", "data"), va="center", color=GREY
+        )
+    _rows(panel, [standing.explainer for standing in standings])
+    panel.set_title(
+        f"{comparison.metric}, {comparison.better} is better\none band and number: tied", fontsize=9
+    )
+
+
+def _differences(panel: Axes, comparison: Comparison) -> None:
+    """Row less column: the number, and by the colour of the cell how surely they differ."""
+    names = [standing.explainer for standing in comparison.standings]
+    at = {name: k for k, name in enumerate(names)}
+    for pair in comparison.pairs:
+        row, column = at[pair.first], at[pair.second]
+        value = pair.difference.value
+        sure = pair.p_holm is not None and pair.p_holm < SIGNIFICANT
+        colour = BETTER if sure else "white" if pair.difference.holds_zero else MAYBE
+        panel.fill_between([column - 0.5, column + 0.5], row - 0.5, row + 0.5, color=colour, linewidth=0)
+        panel.text(
+            column, row, "-" if value is None else f"{value:.2g}", ha="center", va="center", fontsize=8
+        )
+    _rows(panel, names)
+    panel.set_xlim(-0.5, len(names) - 0.5)
+    panel.set_xticks(range(len(names)), names, rotation=90)
+    panel.set_title(
+        f"row less column; dark: Holm p < {SIGNIFICANT},\nlight: only the 95 % interval excludes 0",
+        fontsize=9,
+    )
+
+
+def _rows(panel: Axes, names: Sequence[str]) -> None:
+    panel.set_yticks(range(len(names)), names)
+    panel.set_ylim(len(names) - 0.5, -0.5)  # the first on top
+    panel.spines[["top", "right"]].set_visible(False)
 
 
 def _profiles(panel: Axes, comparison: Comparison) -> None:
@@ -92,10 +143,3 @@ def _profiles(panel: Axes, comparison: Comparison) -> None:
     panel.set_xlabel(f"tau, {comparison.metric}", fontsize=9)
     panel.spines[["top", "right"]].set_visible(False)
     panel.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-
-
-def _interval(panel: Axes, y: int, difference: Difference, colour: str, filled: bool = True) -> None:
-    value = difference.value if difference.value is not None else float("nan")
-    if difference.interval is not None:
-        panel.hlines(y, *difference.interval, color=colour, linewidth=2)
-    panel.plot(value, y, "o", color=colour, markerfacecolor=colour if filled else "white", markersize=6)

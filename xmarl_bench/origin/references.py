@@ -9,6 +9,7 @@ import importlib.util
 import inspect
 import sys
 import textwrap
+import tokenize
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -115,7 +116,7 @@ def origin_of(found: object) -> Origin:
         return Origin(distribution, package_version(distribution), where, None)
     try:
         source = textwrap.dedent(inspect.getsource(code)).encode()
-    except (OSError, TypeError):
+    except (OSError, TypeError, tokenize.TokenError):
         source = None
     return Origin(None, None, where, None if source is None else hashlib.sha256(source).hexdigest())
 

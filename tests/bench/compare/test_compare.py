@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from PIL import Image
 from scipy import stats
 
@@ -15,6 +16,7 @@ from tests.conftest import RunCli
 from tests.helpers.made_entries import made_entry
 from xmarl_bench.compare.comparison import BETTER, compare
 from xmarl_bench.compare.matching import blocks_of, read_named, shared_states
+from xmarl_bench.compare.picture import figure_of
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, make_entry
 from xmarl_bench.errors import InputError
@@ -157,6 +159,29 @@ def test_the_command_prints_json_and_draws(run_cli: RunCli, entry: Entry, tmp_pa
     assert [each["explainer"] for each in record["standings"]] == ["two", "one"]
     assert record["pairs"][0]["difference"]["value"] == pytest.approx(0.1)
     assert record["standings"][0]["profile"]["shares"] == [1.0, 0.25, 0.0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("n", "length"), [(2, 3), (25, 12), (8, 100)])
+def test_the_picture_numbers_every_tie_group_and_cuts_nothing(n: int, length: int, entry: Entry) -> None:
+    names = [f"{k:02}".ljust(length, "x") for k in range(n)]
+    noise = np.array([0.0, 1e-3, -1e-3, 0.0])
+    entries = [like(entry, name, (noise * (-1) ** k - k // 2).tolist()) for k, name in enumerate(names)]
+    compared = compare(blocks_of(entries), "fid_delta")
+    groups = {each.tie_group for each in compared.standings}
+    assert len(groups) == max(1, n // 2)
+    figure = figure_of([compared])
+    figure.draw_without_rendering()
+    shown = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text()]
+    texts = [text.get_text() for text in shown]
+    assert {str(group) for group in groups} <= set(texts)
+    assert min(texts.count(name) for name in names) == 4  # beside means, rows, columns, and in the legend
+    for text in shown:
+        box = text.get_window_extent()
+        assert box.x0 >= -1, text
+        assert box.y0 >= -1, text
+        assert box.x1 <= figure.bbox.x1 + 1, text
+        assert box.y1 <= figure.bbox.y1 + 1, text
 
 
 def test_names_of_explainers_come_before_folders_in_the_working_directory(

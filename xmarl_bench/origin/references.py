@@ -116,7 +116,7 @@ def origin_of(found: object) -> Origin:
         return Origin(distribution, package_version(distribution), where, None)
     try:
         source = textwrap.dedent(inspect.getsource(code)).encode()
-    except (OSError, TypeError, tokenize.TokenError):
+    except (OSError, TypeError, SyntaxError, tokenize.TokenError):  # none, or it has changed
         source = None
     return Origin(None, None, where, None if source is None else hashlib.sha256(source).hexdigest())
 

@@ -9,8 +9,8 @@ unexport PYTHONDONTWRITEBYTECODE
 # For whoever edits a function: no training, browser, cluster or fresh process.
 QUICK := not slow and not training and not browser and not cluster and not benchmark
 
-# Where `make score` writes entries, leaderboard.json and index.html. Git ignores results/; leaderboard/ is the committed
-# board, which `make board` brings up to date.
+# Where `make score` writes entries, leaderboard.json and index.html. Git ignores results/. Of leaderboard/ it keeps what
+# `make rescore` measures, and ignores the page, which `make board` builds.
 OUT ?= results
 
 # What is compared by default: every timestep of the 50 episodes. `make score ALL=1` takes every explainer on every
@@ -26,7 +26,7 @@ SCORE_OPTIONS ?= --policy default --explainer attention $(OTHERS:%=--explainer %
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv score larger quick test lint type board docs bench wheel-test
+.PHONY: help venv score larger quick test lint type rescore board docs bench wheel-test
 
 help:  ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -69,11 +69,14 @@ larger: $(STAMP)  ## Score policies of five agents in teams of eight and ten
 
 SIGNED ?= xmarl-bench
 
-board: $(STAMP)  ## Bring leaderboard/ and the documents made of it up to date, and verify every entry: hours
+rescore: $(STAMP)  ## Score all on all into leaderboard/, verify every entry, then `make board`: hours
 	$(MAKE) score ALL=1 OUT=leaderboard
 	$(MAKE) larger OUT=leaderboard
 	$(BIN)/xmarl-bench verify leaderboard --tier full --by $(SIGNED) --resume --jobs 2
-	$(BIN)/xmarl-bench board build leaderboard
+	$(MAKE) board
+
+board: $(STAMP)  ## Build the page, its animations and the documents from leaderboard/entries
+	$(BIN)/xmarl-bench board build leaderboard --animations
 	for each in ranking findings scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
 
 docs: $(STAMP)  ## Build the documentation site into site/

@@ -111,6 +111,7 @@ def _row(
     drawn = dict(zip(SHARES, values, strict=True))
     drawn |= {"success_rate": 0.9, "no_agent_collision": 1.0, "communication_dependence": 0.5}
     drawn |= {"success_gain": 0.5, "reward_gain": 0.5}
+    drawn |= {"attention_entropy": 0.5, "attention_distance": 0.5}  # of the policy, whatever explains it
     return EpisodeRow.model_validate(
         {
             **drawn,

@@ -29,6 +29,7 @@ from xmarl_bench.records.files import locked
 ANIMATIONS = "animations"
 LOCK = ".board.lock"
 STAGED = ".new"  # suffix of files that are written but not yet renamed
+TABLES = ("leaderboard.csv", "leaderboard.json")
 ROW_DEPTH = 6  # depth of a table's rows in the board's JSON
 
 
@@ -49,13 +50,17 @@ def build_board(folder: Path) -> Path:
 def check_board(folder: Path) -> list[str]:
     """A sentence for each stale file; empty if a build would change nothing.
 
-    Raises InputError if the folder does not exist or holds an invalid entry.
+    Checks the page only if it was built: the repository keeps the tables and the entries alone. Raises
+    InputError if the folder does not exist or holds an invalid entry.
     """
     if not folder.is_dir():
         raise InputError(f"folder {folder} does not exist: give the folder of a leaderboard.")
     made = derived(folder)
+    has_page = (folder / "index.html").exists()
     found = []
     for path, data in sorted(made.files.items()):
+        if not has_page and path not in TABLES:
+            continue
         present = _bytes(folder / path)
         if present != data:
             found.append(f"{folder / path} is {'missing' if present is None else 'stale'}.")

@@ -105,7 +105,7 @@ def score(
     from dataclasses import replace
 
     from xmarl_bench.counted import counted
-    from xmarl_bench.entry.file import read_entries, write_entry
+    from xmarl_bench.entry.file import SHARED, read_entries, remove_unused, write_entry
     from xmarl_bench.origin.references import is_reference
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.files import locked, remove_leftovers
@@ -150,7 +150,7 @@ def score(
     )
     entries, failed = [], []
     with locked(out):
-        for folder in (out, out / "entries"):
+        for folder in (out, out / "entries", out / "entries" / SHARED):
             remove_leftovers(folder)
         try:
             for outcome in score_requests(
@@ -172,6 +172,7 @@ def score(
                     print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
         finally:
             if entries:  # also after an interruption
+                remove_unused(out / "entries")
                 board = build_board(out)
     if entries:
         print_scores(entries, explainers)

@@ -22,6 +22,7 @@ from xmarl_bench.entry.schema import (
 from xmarl_bench.metrics.budgeted_fidelity import SMALLEST
 from xmarl_bench.metrics.statistics import percentile_interval
 from xmarl_bench.metrics.table import Group, names_of
+from xmarl_bench.records.field_types import rounded
 from xmarl_bench.reproducible import derived_seed
 
 BEHAVIOUR = names_of(Group.BEHAVIOUR)
@@ -50,8 +51,8 @@ def summarise(values: Sequence[float | None], rng: np.random.Generator) -> Summa
         return Summary(value=None, interval=None, n=0, n_nan=n_nan)
     interval = None
     if x.size > 1:
-        interval = percentile_interval(x, rng)
-    return Summary(value=float(x.mean()), interval=interval, n=int(x.size), n_nan=n_nan)
+        interval = rounded(percentile_interval(x, rng))
+    return Summary(value=rounded(float(x.mean())), interval=interval, n=int(x.size), n_nan=n_nan)
 
 
 def metrics_of_cell(cell: CellResult, seed: int) -> Metrics:
@@ -97,7 +98,7 @@ def sampling_error(rows: Sequence[EpisodeRow]) -> float | None:
         squares = [e * e for row in rows if (e := _budget_error(getattr(row, name))) is not None]
         if squares:
             found.append(math.sqrt(sum(squares)) / len(squares))
-    return max(found, default=None)
+    return rounded(max(found, default=None))  # type: ignore[no-any-return]
 
 
 def _budget_error(budget: BudgetRow | None) -> float | None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from xmarl_bench.entry.schema import CellResult, FreshDifference
 from xmarl_bench.metrics.statistics import over_samples
 from xmarl_bench.metrics.table import HEADLINES, ON_FRESH, Direction, by_name
+from xmarl_bench.records.field_types import rounded
 
 
 def differences(public: CellResult, fresh: CellResult) -> dict[str, FreshDifference]:
@@ -43,6 +44,8 @@ def _difference(public: CellResult, fresh: CellResult, name: str) -> FreshDiffer
         [value for row in cell.episodes if (value := getattr(row, name)) is not None]
         for cell in (public, fresh)
     ]
-    means = [sum(each) / len(each) if each else None for each in values]
+    means = [rounded(sum(each) / len(each)) if each else None for each in values]
     found = over_samples(*values)
-    return FreshDifference(public=means[0], fresh=means[1], difference=found.value, interval=found.interval)
+    return FreshDifference(
+        public=means[0], fresh=means[1], difference=rounded(found.value), interval=rounded(found.interval)
+    )

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, create_model
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.metrics.table import Group, Metric, metrics_of
 from xmarl_bench.policy.architecture import AnyArchitecture
+from xmarl_bench.records.columns import ByColumn
 from xmarl_bench.records.field_types import (
     ROUNDING,
     Agents,
@@ -32,7 +33,7 @@ from xmarl_bench.records.files import canonical_json
 from xmarl_bench.records.json_lines import members, object_of
 from xmarl_bench.reproducible import LONGEST_VALUE
 
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 NOT_HASHED = ("entry_id", "verification", "provenance", "cost")
 
 
@@ -244,7 +245,7 @@ class CellResult(Record):
     behaviour_episodes: Count  # number of first episodes also played on the explanation and its complement
     absence_behaviour_episodes: Count | None = left_out()  # number of these played under other absence models
     oracle: OracleRecord | None = left_out()  # None: enumerated, or `not_measured` gives the reason
-    episodes: tuple[EpisodeRow, ...]
+    episodes: Annotated[tuple[EpisodeRow, ...], ByColumn(EpisodeRow)]
 
     @property
     def oracle_kind(self) -> OracleKind:
@@ -317,7 +318,7 @@ class Verification(Record):
 
 
 class Entry(Record):
-    schema_version: Literal[4] = SCHEMA_VERSION
+    schema_version: Literal[5] = SCHEMA_VERSION
     entry_id: Sha256
     submitter: Text | None
     policy: PolicyRecord

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
 ROUNDING = 1e-6  # how far rounding may put a number outside its range
+DIGITS = 9  # significant digits of an entry's measurements
 NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,99}")
 # Windows: https://learn.microsoft.com/windows/win32/fileio/naming-a-file
 RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?|.*\.", re.IGNORECASE)
@@ -16,6 +17,17 @@ RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?|.*\.", re.IGN
 def is_file_name(name: str) -> bool:
     """Whether a name can be part of file names on every system."""
     return NAME.fullmatch(name) is not None and RESERVED.fullmatch(name) is None
+
+
+def rounded(value: Any) -> Any:
+    """Every float in tuples and dicts, with DIGITS significant digits; all else as it is."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    if isinstance(value, tuple):
+        return tuple(rounded(each) for each in value)
+    if isinstance(value, dict):
+        return {key: rounded(each) for key, each in value.items()}
+    return value
 
 
 def _not_reserved(name: str) -> str:

@@ -20,6 +20,7 @@ from xmarl_bench.explain.control_names import INVERTED, RANDOM
 from xmarl_bench.explain.oracle import oracle_kind
 from xmarl_bench.explain.sampled_oracle import ORDERS
 from xmarl_bench.metrics.table import GAINS
+from xmarl_bench.records.field_types import rounded
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode, mean_metrics
 from xmarl_bench.scoring.behaviour import Played
@@ -120,17 +121,13 @@ def _oracle(request: Request, cell: Cell, rows: Sequence[EpisodeRow]) -> OracleR
 def total_cost(costs: Sequence[Cost]) -> Cost:
     """The cost of all cells of an entry."""
     n = sum(each.explained_timesteps for each in costs)
+    explain = sum(each.explain_seconds_per_timestep * each.explained_timesteps for each in costs) / n
+    shared = sum(each.shared_seconds_per_timestep * each.explained_timesteps for each in costs) / n
     return Cost(
-        explain_seconds_per_timestep=sum(
-            each.explain_seconds_per_timestep * each.explained_timesteps for each in costs
-        )
-        / n,
+        explain_seconds_per_timestep=rounded(explain),
         explained_timesteps=n,
-        shared_seconds_per_timestep=sum(
-            each.shared_seconds_per_timestep * each.explained_timesteps for each in costs
-        )
-        / n,
-        behaviour_seconds=sum(each.behaviour_seconds for each in costs),
+        shared_seconds_per_timestep=rounded(shared),
+        behaviour_seconds=rounded(sum(each.behaviour_seconds for each in costs)),
     )
 
 
@@ -165,20 +162,16 @@ def episode_row(
 ) -> EpisodeRow:
     """The row of one episode in an entry. mute: the same episode without messages."""
     parts = (explained.row, behaviour, explained.sanity or NOT_CHECKED, shared.policy)
-    return EpisodeRow.model_validate(
-        {
-            "seed": episode.seed,
-            "length": len(episode.observations),
-            "timesteps": shared.timesteps,
-            **explained.budgets,
-            **{
-                name: number(getattr(episode, metric) - getattr(mute, metric))
-                for name, metric in GAINS.items()
-            },
-            **{name: value for part in parts for name, value in part},
-            **{
-                name: None if value is None else number(value)
-                for name, value in mean_metrics(cell.make(), [episode]).items()
-            },
-        }
-    )
+    values = {
+        "seed": episode.seed,
+        "length": len(episode.observations),
+        "timesteps": shared.timesteps,
+        **{name: budget.model_dump() for name, budget in explained.budgets.items()},
+        **{name: number(getattr(episode, metric) - getattr(mute, metric)) for name, metric in GAINS.items()},
+        **{name: value for part in parts for name, value in part},
+        **{
+            name: None if value is None else number(value)
+            for name, value in mean_metrics(cell.make(), [episode]).items()
+        },
+    }
+    return EpisodeRow.model_validate(rounded(values))

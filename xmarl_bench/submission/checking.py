@@ -87,9 +87,9 @@ def check(path: Path) -> Checked:
                     f"bundle."
                 )
             for name in names:
-                _check_entry(checked, name.name, _read(name))
+                _check_entry(checked, name.name, _read(name), name.parent)
         else:
-            _check_entry(checked, path.name, _read(path))
+            _check_entry(checked, path.name, _read(path), path.parent)
     except OSError as error:
         raise InputError(
             f"{path} cannot be read ({error.strerror}): give an entry, a bundle or a folder of entries."
@@ -117,9 +117,10 @@ def _add(checked: Checked, file: str, findings: Iterator[str]) -> None:
         checked.findings.append(f"{file}: and {counted(len(listed) - MAX_FINDINGS, 'more finding')}.")
 
 
-def _check_entry(checked: Checked, file: str, data: bytes) -> Entry | None:
+def _check_entry(checked: Checked, file: str, data: bytes, folder: Path | None = None) -> Entry | None:
+    """folder: where the entry's shared part may be."""
     try:
-        entry = parse_entry(data)
+        entry = parse_entry(data, folder)
     except ValueError as error:
         checked.findings.append(f"{file}: it {error}.")
         return None

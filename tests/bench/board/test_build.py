@@ -38,7 +38,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.parent.name != "entries"
+        if path.is_file() and "entries" not in path.parts
     }
 
 
@@ -57,6 +57,15 @@ def test_check_names_stale_files(board: Path, run_cli: RunCli) -> None:
     assert check_board(board) == [f"{page} is missing.", f"{board / 'pages/other.js'} belongs to no entry."]
     assert run_cli("board", "build", board).code == 0
     assert check_board(board) == []
+
+
+@pytest.mark.slow
+def test_a_board_without_its_page_is_checked_by_its_tables(board: Path) -> None:
+    for path in (board / "index.html", board / "entry.html", *(board / "pages").iterdir()):
+        path.unlink()
+    assert check_board(board) == []
+    (board / "leaderboard.csv").unlink()
+    assert check_board(board) == [f"{board / 'leaderboard.csv'} is missing."]
 
 
 @pytest.mark.slow

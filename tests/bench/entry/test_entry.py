@@ -52,12 +52,16 @@ def edited(entry: Entry, edit: Any) -> str:
     [
         (lambda value: value.update(extra=1), "extra"),
         (lambda value: value["results"][0]["metrics"].update(fid_squared=1), "fid_squared"),
-        (lambda value: value["results"][0]["episodes"][0].pop("gef"), "gef"),
-        (lambda value: value["results"][0]["episodes"][0].update(gef="0.5"), "gef"),
-        (lambda value: value["results"][0]["episodes"][0].update(gef=float("nan")), "holds NaN"),
-        (lambda value: value["results"][0]["episodes"][0].update(gef=float("inf")), "holds Infinity"),
-        (lambda value: value.update(schema_version=1), "has schema_version 1, .* reads 4: score it again"),
-        (lambda value: value["results"][0]["episodes"][0].update(gef=0.123), "changed after it was written"),
+        (lambda value: value["results"][0]["episodes"].pop("gef"), "gef"),
+        (lambda value: value["results"][0]["episodes"]["gef"].append("0.5"), "gef.3"),
+        (lambda value: value["results"][0]["episodes"]["gef"].append(float("nan")), "holds NaN"),
+        (lambda value: value["results"][0]["episodes"]["gef"].append(float("inf")), "holds Infinity"),
+        (lambda value: value.update(schema_version=1), "has schema_version 1, .* reads 5: score it again"),
+        (lambda value: value["results"][0]["episodes"]["gef"].pop(), "gef has 2 values, others have 3"),
+        (lambda value: value["results"][0]["episodes"]["gef"].reverse(), "changed after it was written"),
+        (lambda value: value["results"][0]["episodes"].update(seed=[]), "seed has 0 values, others have 3"),
+        (lambda value: value["results"][0]["episodes"].update(seed=None), "seed"),
+        (lambda value: value["results"][0].update(episodes=[]), "episodes"),
     ],
 )
 def test_invalid_entries_are_refused_with_the_reason(

@@ -63,7 +63,7 @@ def test_an_entry_that_cannot_be_read_is_named(run_cli: RunCli, make_bundle: Mak
     (out / "entries").mkdir(parents=True)
     (out / "entries" / "gone.json").symlink_to(out / "nowhere.json")
     assert_refused(score(run_cli, make_bundle(), out), "gone.json cannot be read (No such file or directory)")
-    assert [path.name for path in (out / "entries").iterdir()] == ["gone.json"]
+    assert [path.name for path in (out / "entries").glob("*.json")] == ["gone.json"]
 
 
 def test_a_cache_that_cannot_be_written_is_refused(

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from tests.helpers.by_row import by_column, by_row
 from xmarl_bench.entry.aggregation import metrics_of_cell
 from xmarl_bench.entry.schema import Entry, entry_id
 from xmarl_bench.records.files import canonical_json, pretty_json
@@ -24,9 +25,15 @@ def with_id(value: dict[str, Any]) -> dict[str, Any]:
 
 
 def edited(entry: Entry, edit: Edit, *, aggregates: bool = False) -> Entry:
-    """A valid entry with an edit and a matching id; with `aggregates` also matching means and intervals."""
+    """A valid entry with an edit, which sees episodes by row, and a matching id.
+
+    aggregates: with matching means and intervals too.
+    """
     value = entry.model_dump(mode="json")
+    for cell in value["results"]:
+        cell["episodes"] = by_row(cell["episodes"])
     edit(value)
+    value["results"] = [{**cell, "episodes": by_column(cell["episodes"])} for cell in value["results"]]
     changed = Entry.model_validate_json(json.dumps(value))
     if aggregates:
         results = tuple(

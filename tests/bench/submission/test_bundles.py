@@ -14,7 +14,7 @@ import pytest
 from tests.bench.submission.conftest import LICENCE, Pack
 from tests.bench.submission.edits import Edit, edited, with_entry, with_manifest
 from tests.conftest import RunCli
-from xmarl_bench.entry.file import read_entry, write_entry
+from xmarl_bench.entry.file import entry_text, read_entry, write_entry
 from xmarl_bench.entry.schema import Entry, Verification
 from xmarl_bench.explain.control_names import INITIAL_ATTENTION, INVERTED, NEAREST
 from xmarl_bench.explain.controls import CONTROLS
@@ -90,7 +90,7 @@ def test_submit_writes_no_invalid_bundle(
 def test_validate_exits_0_1_2(tmp_path: Path, entries: list[Entry], run_cli: RunCli) -> None:
     good = write_entry(tmp_path / "good", entries[0])
     bad = tmp_path / "bad.json"
-    bad.write_bytes(good.read_bytes().replace(b'"somebody"', b'"somebody else"'))
+    bad.write_bytes(entry_text(entries[0]).replace(b'"somebody"', b'"somebody else"'))
     assert run_cli("validate", good, tmp_path / "good").code == 0
     ran = run_cli("validate", good, bad)
     assert ran.code == 1

@@ -222,7 +222,7 @@ def test_submit_takes_the_submitters_word(
     for name, words, expected in (("a", (), None), ("b", ("--variants-tried", 12), 12)):
         ran = run_cli("submit", given_entry, *options, *words, "--out", tmp_path / name)
         assert ran.code == 0, ran.out
-        (file,) = (tmp_path / name / "entries").iterdir()
+        (file,) = (tmp_path / name / "entries").glob("*.json")
         assert read_entry(file).variants_tried == expected
         assert (b"variants_tried" in file.read_bytes()) is (expected is not None)
     ran = run_cli("submit", given_entry, *options, "--variants-tried", 0, "--out", tmp_path / "c")

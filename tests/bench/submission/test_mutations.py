@@ -145,7 +145,7 @@ def _mutated_file(name: str, data: bytes, rng: random.Random) -> bytes:
         numbers = [
             path
             for path in places(json.loads(data))
-            if any(path[: len(each)] == each != path for each in own) and "budget" not in str(path[4:5])
+            if any(path[: len(each)] == each != path for each in own) and "budget" not in str(path[3:4])
         ]
         return mutated(data, numbers, rng, fit_id=True)
     if name == MANIFEST:

@@ -169,12 +169,12 @@ def test_the_picture_numbers_every_tie_group_and_cuts_nothing(n: int, length: in
     entries = [like(entry, name, (noise * (-1) ** k - k // 2).tolist()) for k, name in enumerate(names)]
     compared = compare(blocks_of(entries), "fid_delta")
     groups = {each.tie_group for each in compared.standings}
-    assert len(groups) == max(1, n // 2)
+    assert len(groups) == (n + 1) // 2
     figure = figure_of([compared])
     figure.draw_without_rendering()
     texts = [text.get_text() for text in figure.findobj(Text)]
     assert {str(group) for group in groups} <= set(texts)
-    assert min(texts.count(name) for name in names) == 4  # beside means, rows, columns, and in the legend
+    assert min(texts.count(name) for name in names) >= 4  # beside means, rows, columns, and in the legend
     drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()  # all that is drawn, in inches
     assert min(drawn.x0, drawn.y0) >= 0
     assert drawn.x1 <= width

@@ -19,12 +19,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from xmarl_bench.meta.agreement import (
-    absences_agree,
-    rank_agreement,
-    scores_of_board,
-    scores_of_planted,
-)
+from xmarl_bench.board.agreement import rank_agreement, scores_of_board
+from xmarl_bench.meta.agreement import absences_agree, scores_of_planted
 from xmarl_bench.meta.curves import METRICS, Curve, followed, planted_curves, states_of, trained_curves
 from xmarl_bench.meta.degenerate import METRICS as OF_DEGENERATE
 from xmarl_bench.meta.degenerate import RIGHT, Degenerate, degenerate_scores
@@ -177,7 +173,9 @@ def main() -> None:
         for k, (policy, card) in enumerate(policies)
         for each in degenerate_scores(policy, card, partner(policies, k))
     ]
-    board = scores_of_board(json.loads((HERE.parent / "leaderboard" / "leaderboard.json").read_bytes()))
+    board = scores_of_board(
+        json.loads((HERE.parent / "leaderboard" / "leaderboard.json").read_bytes())["tables"]
+    )
     planted = scores_of_planted(score_planted(select_explainers(["all"]), n_steps=50))
     with one_thread():
         who_matters = {

@@ -27,6 +27,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.records.files import locked
 
 ANIMATIONS = "animations"
+CARDS = "explainers.json"  # written by `xmarl-bench board explainers`
 LOCK = ".board.lock"
 STAGED = ".new"  # suffix of files that are written but not yet renamed
 TABLES = ("leaderboard.csv", "leaderboard.json")
@@ -87,7 +88,8 @@ def derived(folder: Path) -> Derived:
 
     board = board_of(read())
     present = {path.name for path in (folder / ANIMATIONS).glob("*.avif")}
-    pages = page_files(board, details, present)
+    cards = folder / CARDS
+    pages = page_files(board, details, present, json.loads(cards.read_bytes()) if cards.is_file() else {})
     files = {
         **{path: data for path, data in pages.items() if "/" in path},
         "leaderboard.csv": board_csv(board),

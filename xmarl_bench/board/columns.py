@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from xmarl_bench.metrics import table
-from xmarl_bench.metrics.table import METRICS, OF_EXPLAINERS, OF_POLICIES, columns_of
+from xmarl_bench.metrics.table import METRICS, OF_EXPLAINERS, OF_POLICIES, UNDER_ABSENCES, by_name, columns_of
 
 ORDER = {
     "by": table.ORDER,
@@ -17,3 +17,10 @@ ORDER = {
 COLUMNS = {metric.name: metric.column_heading for metric in columns_of(*OF_EXPLAINERS)}
 PAPER = tuple(metric.name for metric in METRICS if metric.in_paper)  # shown in every table
 POLICY_METRICS = tuple(metric.name for metric in columns_of(*OF_POLICIES))
+GAMED = "fid_delta"  # drawn against the order, to show what it misses
+COMPARED = (*PAPER, "budgeted_fidelity", *UNDER_ABSENCES, ORDER["by"])  # do they order explainers alike?
+BY_EPISODE = (ORDER["by"], *PAPER)  # whose distributions over episodes are drawn
+
+
+def title_of(metric: str) -> str:
+    return by_name()[metric].title

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from xmarl_bench.board.budgets import curves_of
-from xmarl_bench.board.columns import COLUMNS
+from xmarl_bench.board.columns import BY_EPISODE, COLUMNS
 from xmarl_bench.board.command import command_of
+from xmarl_bench.board.rows import numbers
 from xmarl_bench.entry.schema import CellResult, Entry
 from xmarl_bench.explain.control_names import INVERTED
-from xmarl_bench.metrics.table import Group, names_of
 
-DIGITS = 4  # significant digits; `leaderboard.json` has all
-# Metrics that the charts show by episode: those of explanations, not of policies.
-EPISODE_METRICS = names_of(Group.BEHAVIOUR) + names_of(Group.BEHAVIOUR_UNDER) + names_of(Group.EXPLANATION)
 Json = dict[str, Any]
 Details = dict[tuple[str, int, int], Json]  # by task, team size and max cycles
 
@@ -37,28 +34,7 @@ def _detail(entry: Entry, cell: CellResult) -> Json:
         "n": {name: [s.n, s.n_nan] for name in COLUMNS if (s := getattr(cell.metrics, name)) is not None},
         "inverted": None
         if inverted is None
-        else [numbers(getattr(inverted, name, None)) for name in COLUMNS],
-        "episodes": {
-            name: [short(getattr(row, name)) for row in cell.episodes]
-            for name in EPISODE_METRICS
-            if any(getattr(row, name) is not None for row in cell.episodes)
-        },
+        else [numbers(name, getattr(inverted, name, None)) for name in COLUMNS],
+        "episodes": {name: [getattr(row, name) for row in cell.episodes] for name in BY_EPISODE},
         "budgets": curves_of(cell),
     }
-
-
-def numbers(summary: Any) -> list[float | None] | None:
-    """[value, low, high] of a summary (a record or its dump)."""
-    if summary is None:
-        return None
-    fields = summary if isinstance(summary, dict) else summary.model_dump()
-    interval = fields["interval"]
-    return [short(fields["value"]), *([None, None] if interval is None else map(short, interval))]
-
-
-def shown_value(summary: Json | None) -> float | None:
-    return None if summary is None else short(summary["value"])
-
-
-def short(value: float | None) -> float | None:
-    return None if value is None else float(f"{value:.{DIGITS}g}")

@@ -1,37 +1,50 @@
 """The page: static files that load nothing from elsewhere, from a disk or a server.
 
-`index.html` and `entry.html` are small. Their data is in scripts in `pages/`, because browsers let a page
-opened from a disk load scripts but not JSON:
+Rankings (views.py), explainers (explainer_pages.py) and the comparison with and without the regulariser are
+HTML with their charts drawn in it: they work without scripts, which only sort tables and highlight lines.
+`scores.html` and `entry.html` show one of many rows, and read them from scripts in `pages/`, because browsers
+let a page opened from a disk load scripts but not JSON:
 
-- one script with every row of the board (values and intervals, four digits), loaded by both pages;
-- one script per policy and table with the episodes, budgets and provenance of its entries, loaded when a
-  chart or an entry needs it. `entry.html` shows every entry, so that this data is not repeated.
+- one script with every row of the board (rows.py);
+- one script per policy and table with the provenance and charts of its entries.
 
-Each name under `pages/` ends in a hash of its bytes, so a page never loads a file of another build.
+Names of scripts and styles end in a hash of their bytes, so a page never loads a file of another build.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Set
+import re
+from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
-from xmarl_bench.board.columns import COLUMNS, PAPER, POLICY_METRICS
-from xmarl_bench.board.details import EPISODE_METRICS, Details, numbers, short, shown_value
+from xmarl_bench.board.answer import answer_about, answer_on_term, number
+from xmarl_bench.board.columns import COLUMNS, COMPARED, GAMED, ORDER, PAPER
+from xmarl_bench.board.details import Details
+from xmarl_bench.board.explainer_pages import explainers_of, term_page
+from xmarl_bench.board.rows import board_rows
+from xmarl_bench.board.views import absence_of, budget_chart, context_of, scopes_of, short_task
+from xmarl_bench.explain.control_names import NEAREST, SUMMARIES
+from xmarl_bench.metrics.table import OF_EXPLAINERS, by_name, metrics_of
 from xmarl_bench.records.files import canonical_json
 
 HERE = Path(__file__).parent
 PAGES = "pages"
+QUOTED = re.compile(r"`([^`]*)`")
 Json = dict[str, Any]
 
 
-def page_files(board: Json, details: Mapping[str, Details], animations: Set[str]) -> dict[str, bytes]:
-    """Every file of the page by its path.
+def page_files(
+    board: Json, details: Mapping[str, Details], animations: Set[str], cards: Json
+) -> dict[str, bytes]:
+    """Every file of the page by its path, in the order of writing: none refers to a later one but by a link.
 
-    board: the result of `board_of`; details: by file; animations: names of the files in `animations/`.
+    board: the result of `board_of`; details: by file; animations: names of the files in `animations/`; cards:
+    what `explainers.json` tells of explainers, by name.
     """
     files: dict[str, bytes] = {}
 
@@ -42,7 +55,66 @@ def page_files(board: Json, details: Mapping[str, Details], animations: Set[str]
         return path
 
     assets = {path.name: add(path.name, path.read_bytes()) for path in sorted((HERE / "assets").iterdir())}
-    data = add("board.js", _script("BOARD", _compact(board, details, animations, add)))
+    explainers = explainers_of(board, details, cards)
+    environment = _environment(set(explainers), cards)
+    figures: Any = environment.get_template("figures.jinja").module
+    scripts = {}
+    for t, table in enumerate(board["tables"]):
+        for policy in table["policies"]:
+            scope = (table["task"], table["n_agents"], table["max_cycles"])
+            key = _hash(canonical_json([t, policy["name"], policy["weights_sha256"]]))
+            charts = [budget_chart(table, policy, details, kind) for kind in ("comm_budget", "budget")]
+            shown = {
+                "entries": {row["entry_id"][:16]: _shown(details[row["file"]][scope])
+                            for row in policy["rows"] if row["entry_id"]},
+                "charts": [str(figures.lines(chart)) for chart in charts if chart is not None],
+            }  # fmt: skip
+            scripts[t, policy["name"], policy["weights_sha256"]] = (
+                key, add(f"{policy['name']}.js", _script(f"XMARL_{key}", shown)))  # fmt: skip
+    data = add("board.js", _script("BOARD", board_rows(board, scripts, animations)))
+    scopes = scopes_of(board)
+    environment.globals |= {
+        "assets": assets,
+        "data": data,
+        "scopes": scopes,
+        "board": board,
+        "definitions": {m.name: m for m in metrics_of(*OF_EXPLAINERS)},
+        "controls": {**SUMMARIES, NEAREST: "exp(-distance in m): never looks at the policy"},
+    }
+
+    def render(path: str, template: str, **context: Any) -> None:
+        root = "../" * path.count("/")
+        made = environment.get_template(template).render(root=root, path=path, **context)
+        files[path] = made.encode()
+
+    for name, explainer in explainers.items():
+        render(explainer_path(name), "explainer.html.jinja", name=name, explainer=explainer)
+    if board["tables"]:
+        render(TERM, "regulariser.html.jinja", families=term_page(board, scopes[0][0], details))
+    for view in scopes:
+        for each in reversed(view):  # the page of all tasks last
+            shown = context_of(board, each, view, details, cards)
+            render(each.path, "ranking.html.jinja", scope=each, context=shown)
+    if not board["tables"]:
+        render("index.html", "empty.html.jinja")
+    render("scores.html", "scores.html.jinja")
+    render("entry.html", "entry.html.jinja")
+    return files
+
+
+TERM = f"{PAGES}/regulariser.html"
+
+
+def explainer_path(name: str) -> str:
+    return f"{PAGES}/explainer-{name}.html"
+
+
+def breakable(name: str) -> Markup:
+    """The name, which may be broken after its hyphens and underscores."""
+    return Markup(re.sub("([-_])", r"\1<wbr>", str(escape(name))))
+
+
+def _environment(explainers: Set[str], cards: Json) -> Environment:
     environment = Environment(
         loader=FileSystemLoader(HERE / "templates"),
         autoescape=True,
@@ -50,111 +122,40 @@ def page_files(board: Json, details: Mapping[str, Details], animations: Set[str]
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    for name in ("entry.html", "index.html"):
-        template = environment.get_template(f"{name}.jinja")
-        files[name] = template.render(board=board, columns=COLUMNS, assets=assets, data=data).encode()
-    return files
 
+    def linked(text: str, root: str) -> Markup:
+        """Names in backquotes become links to explainers, or code."""
 
-def _compact(
-    board: Json, details: Mapping[str, Details], animations: Set[str], add: Callable[[str, bytes], str]
-) -> Json:
-    """The whole board as lists. add: stores the script of a policy and returns its path."""
-    policies: list[Json] = []
-    rows: list[list[Any]] = []
-    reasons: list[Json] = [{}]  # values of `not_measured`, which most rows share
-    for t, table in enumerate(board["tables"]):
-        for policy in table["policies"]:
-            key = _hash(canonical_json([t, policy["name"], policy["weights_sha256"]]))
-            scope = (table["task"], table["n_agents"], table["max_cycles"])
-            shown = {
-                row["entry_id"][:16]: details[row["file"]][scope] for row in policy["rows"] if row["entry_id"]
-            }
-            script = add(f"{policy['name']}.js", _script(f"XMARL_{key}", shown))
-            policies.append(
-                {
-                    "table": t,
-                    "key": key,
-                    "script": script,
-                    "name": policy["name"],
-                    "lambda": policy["attention_entropy"],
-                    "training_seed": policy["training_seed"],
-                    "trained_n_agents": policy["trained_n_agents"],
-                    "oracle_error": short(policy["oracle_error"]),
-                    "gate": policy["gate"],
-                    "metrics": {name: shown_value(policy["metrics"][name]) for name in POLICY_METRICS},
-                }
-            )
-            for row in policy["rows"]:
-                why = row["not_measured"]
-                if why not in reasons:
-                    reasons.append(why)
-                identity = None if row["entry_id"] is None else row["entry_id"][:16]
-                rows.append(
-                    [len(policies) - 1, row["explainer"], int(row["control"]), row["rank"],
-                     row["rank_interval"], row["tie_group"], row["submitter"], row["verification"], identity,
-                     int(f"{identity}.avif" in animations), reasons.index(why), row["file"],
-                     [numbers(row["metrics"][name]) for name in COLUMNS], row["variants_tried"],
-                     _fresh(row["fresh"])]
-                )  # fmt: skip
-    return {
-        "columns": list(COLUMNS.items()),  # a list, because keys of JSON have no order
+        def link(name: str) -> Markup:
+            if name not in explainers:
+                return Markup("<code>{}</code>").format(name)
+            return Markup('<a href="{}{}">{}</a>').format(root, explainer_path(name), name)
+
+        parts = QUOTED.split(text)
+        return Markup("").join(link(part) if k % 2 else escape(part) for k, part in enumerate(parts))
+
+    environment.filters |= {"breakable": breakable, "num": number, "linked": linked, "short_task": short_task}
+    environment.globals |= {
+        "columns": {name: heading.rstrip(" \u2191\u2193") for name, heading in COLUMNS.items()},
+        "metrics": by_name(),
+        "order": ORDER["by"],
+        "gamed": GAMED,
+        "compared": COMPARED,
+        "order_note": ORDER["note"],
         "paper": PAPER,
-        "order": board["order"],
-        "protocols": {
-            key: {name: protocol[name] for name in ("id", "episodes", "timesteps", "definitions")}
-            for key, protocol in board["protocols"].items()
-        },
-        "tables": [
-            {key: table[key] for key in ("task", "n_agents", "max_cycles", "protocol", "oracle")}
-            for table in board["tables"]
-        ],
-        "policies": policies,
-        "rows": rows,
-        "reasons": reasons,
-        "rankings": [
-            {
-                **{key: ranking[key] for key in ("protocol", "oracle", "task", "n_agents")},
-                "n_policies": len(ranking["policies"]),
-                "improvement": ranking["improvement"],
-                "rows": [
-                    {
-                        **row,
-                        "value": short(row["value"]),
-                        "profile": _profile(row["profile"]),
-                        "interval": row["interval"] and [short(x) for x in row["interval"]],
-                        "means": {name: short(mean) for name, mean in row["means"].items()},
-                    }
-                    for row in ranking["rows"]
-                ],
-            }
-            for ranking in board["rankings"]
-        ],
-        "episode_metrics": EPISODE_METRICS,
+        "explainer_path": explainer_path,
+        "has_page": explainers.__contains__,
+        "term_path": TERM,
+        "absence_of": lambda name: absence_of(cards, name),
+        "answer_about": answer_about,
+        "answer_on_term": answer_on_term,
     }
+    return environment
 
 
-def _profile(profile: Json) -> list[list[float | None]]:
-    """[tau, share above it, low, high] of every step of a performance profile; the first tau is None."""
-    return [
-        [None if tau is None else short(tau), short(share), short(low), short(high)]
-        for tau, share, (low, high) in zip(
-            (None, *profile["taus"]), profile["shares"], profile["band"], strict=True
-        )
-    ]
-
-
-def _fresh(fresh: Json | None) -> Json | None:
-    """What the pages show of fresh seeds: both means, and value, low and high of their difference."""
-    if fresh is None or fresh["decides"] is None:
-        return None
-    found = fresh["metrics"][fresh["decides"]]
-    difference = numbers({"value": found["difference"], "interval": found["interval"]})
-    return {
-        **{name: fresh[name] for name in ("value", "decides", "worse")},
-        "means": [short(found["public"]), short(found["fresh"])],
-        "difference": difference,
-    }
+def _shown(details: Json) -> Json:
+    """What the page of an entry shows: without what is drawn beforehand."""
+    return {name: value for name, value in details.items() if name not in ("episodes", "budgets")}
 
 
 def _script(name: str, value: Any) -> bytes:

@@ -23,14 +23,21 @@ from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, plac
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
-from xmarl_bench.explain.control_names import INVERTED
+from xmarl_bench.explain.control_names import INVERTED, NEAREST, RANDOM
 from xmarl_bench.metrics.performance_profile import performance_profile
-from xmarl_bench.metrics.statistics import interquartile_mean, probability_of_improvement
+from xmarl_bench.metrics.statistics import (
+    interquartile_mean,
+    over_units,
+    probability_of_improvement,
+    student_interval,
+)
 from xmarl_bench.metrics.table import OF_EXPLAINERS, by_name, names_of
 from xmarl_bench.records.files import canonical_json
 
 SCHEMA_VERSION = 4
 MOST = by_name()[ORDER["by"]].range.high or math.inf
+BEATEN = (RANDOM, NEAREST)  # controls that an explainer has to beat
+TIERS = ("", "unverified", "recomputed", "spot-rerun", "re-executed")  # of verification, worst first
 Json = dict[str, Any]
 
 
@@ -116,6 +123,7 @@ def _policy(entry: Entry, cell: CellResult) -> Json:
         "name": entry.policy.name,
         "weights_sha256": entry.policy.weights_sha256,
         "attention_entropy": entry.policy.attention_entropy,
+        "architecture": entry.policy.architecture.model_dump(mode="json"),
         "training_seed": entry.policy.training_seed,
         "trained_n_agents": entry.policy.n_agents,
         "oracle_error": None if cell.oracle is None else cell.oracle.error,
@@ -137,6 +145,7 @@ def _row(file: str, entry: Entry, k: int) -> Json:
         "variants_tried": entry.variants_tried,
         "verification": entry.verification.status,
         "fresh": _fresh(entry, k),
+        "cost": entry.cost.explain_seconds_per_timestep,
         "metrics": _shown(cell.metrics),
         "not_measured": cell.not_measured,
         "file": file,
@@ -156,6 +165,7 @@ def _control_row(file: str, name: str, metrics: ControlMetrics) -> Json:
         "variants_tried": None,
         "verification": "",
         "fresh": None,
+        "cost": None,
         "metrics": _shown(metrics),
         "not_measured": {},
         "file": file,
@@ -206,9 +216,9 @@ def _finish(group: Group) -> None:
 
 
 def _rankings(listed: Sequence[tuple[Json, Sequence[Group]]]) -> list[Json]:
-    """A ranking over all tables of a protocol and method of the oracle, and one for each task and team size.
+    """Rankings of each protocol and method of the oracle: over all tables, of each task, and of each cell.
 
-    The first is over policies in teams of the size that they were trained for.
+    Those over several cells are over policies in teams of the size that they were trained for.
     """
     scoped: dict[tuple[str, str, str | None, int | None], list[tuple[Json, Group]]] = {}
     for scope, groups in listed:
@@ -218,6 +228,7 @@ def _rankings(listed: Sequence[tuple[Json, Sequence[Group]]]) -> list[Json]:
                 continue
             if group.policy["trained_n_agents"] == scope["n_agents"]:
                 scoped.setdefault((*table, None, None), []).append((scope, group))
+                scoped.setdefault((*table, scope["task"], None), []).append((scope, group))
             scoped.setdefault((*table, *cell), []).append((scope, group))
     return [
         {"protocol": protocol, "oracle": oracle, "task": task, "n_agents": n_agents, **_ranking(pairs)}
@@ -236,19 +247,24 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
         np.stack([group.episodes[rows[name][g]["file"]] for name in names]) for g, group in enumerate(groups)
     ]
     found = places(means, blocks, MOST)
-    ranked = [_ranking_row(name, rows[name], False, place) for name, place in zip(names, found, strict=True)]
+    control_rows = [
+        {row["explainer"]: row for row in group.rows if row["control"] and value_of(row) is not None}
+        for group in groups
+    ]
+    ranked = [
+        _ranking_row(name, rows[name], False, place)
+        | {"above": {each: _above(rows[name], [c.get(each) for c in control_rows]) for each in BEATEN}}
+        for name, place in zip(names, found, strict=True)
+    ]
     partial = sorted({name for each in by_name for name in each} - set(names))
     unranked = [
-        _ranking_row(name, [each[name] for each in by_name if name in each], False) for name in partial
+        _ranking_row(name, [each[name] for each in by_name if name in each], False)
+        | {"reason": f"scored on {sum(name in each for each in by_name)} of {len(by_name)} policies"}
+        for name in partial
     ]
-    control_rows = [
-        [row for row in group.rows if row["control"] and value_of(row) is not None] for group in groups
-    ]
-    scored_controls = {k: [row["explainer"] for row in each] for k, each in enumerate(control_rows)}
-    _, controls = complete_part(scored_controls)
+    _, controls = complete_part({k: list(each) for k, each in enumerate(control_rows)})
     ranked_controls = [
-        _ranking_row(name, [row for each in control_rows for row in each if row["explainer"] == name], True)
-        for name in controls
+        _ranking_row(name, [each[name] for each in control_rows if name in each], True) for name in controls
     ]
     return {
         "policies": [
@@ -256,11 +272,44 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
              "n_agents": pairs[k][0]["n_agents"], "trained_n_agents": pairs[k][1].policy["trained_n_agents"]}
             for k in chosen
         ],
+        "lead": _lead(found, names, blocks),
         "improvement": _improvement([pairs[k][0] for k in chosen], rows),
         "rows": sorted(
             ranked + unranked + ranked_controls, key=lambda row: (-row["value"], row["explainer"])
         ),
     }  # fmt: skip
+
+
+def _above(rows: Sequence[Json], controls: Sequence[Json | None]) -> Json | None:
+    """How far an explainer is above a control: mean over policies of the difference, with its interval.
+
+    Of a single policy, whose entry holds no episodes of controls, the interval is that of the difference of
+    two independent means: wider than a paired one. None if a policy lacks the control.
+    """
+    known = [each for each in controls if each is not None]
+    if not rows or len(known) < len(rows):
+        return None
+    difference = np.array(_values(rows)) - np.array(_values(known))
+    value = round(float(difference.mean()), DIGITS)
+    if len(rows) > 1:
+        low, high = student_interval(np.round(difference, DIGITS))
+        return {"difference": value, "interval": [float(low), float(high)]}
+    intervals = [each["metrics"][ORDER["by"]]["interval"] for each in (rows[0], known[0])]
+    if None in intervals:
+        return {"difference": value, "interval": None}
+    half = math.hypot(*((high - low) / 2 for low, high in intervals))
+    return {"difference": value, "interval": [value - half, value + half]}
+
+
+def _lead(found: Sequence[Place], names: Sequence[str], blocks: Sequence[Floats]) -> Json | None:
+    """The first explainer's lead over the best one that differs from it significantly; None without one."""
+    order = sorted(range(len(names)), key=lambda r: (found[r].rank, names[r]))
+    beaten = [r for r in order if found[r].tie_group != 1]
+    if not beaten:
+        return None
+    first, second = ([block[r] for block in blocks] for r in (order[0], beaten[0]))
+    lead = over_units(first, second)
+    return {"over": names[beaten[0]], "difference": lead.value, "interval": lead.interval}
 
 
 def _improvement(scopes: Sequence[Json], rows: dict[str, list[Json]]) -> Json:
@@ -293,6 +342,9 @@ def _ranking_row(name: str, rows: Sequence[Json], control: bool, place: Place | 
         "profile": asdict(performance_profile(values)),
         "interval": None if place is None else place.interval,
         "n_policies": len(rows),
+        "cost": None if None in (costs := [row["cost"] for row in rows]) else float(np.mean(costs)),
+        "submitters": sorted({row["submitter"] or "" for row in rows}),
+        "verification": min((row["verification"] for row in rows), key=TIERS.index),
         "means": {metric: _mean(rows, metric) for metric in PAPER},
     }
 

@@ -1,4 +1,4 @@
-"""`xmarl-bench board build|check|serve`."""
+"""`xmarl-bench board build|check|explainers|serve`."""
 
 from __future__ import annotations
 
@@ -48,6 +48,19 @@ def check(folder: Folder = Path("leaderboard")) -> None:
         print(f"Run: xmarl-bench board build {folder}")
         raise typer.Exit(1)
     print(f"{folder}: all derived files fit the entries.")
+
+
+@board.command()
+def explainers(folder: Folder = Path("leaderboard")) -> None:
+    """Write explainers.json: question, paper and planted truth of each registered explainer, for the page."""
+    from xmarl_bench.board.build import CARDS
+    from xmarl_bench.meta.explainer_cards import cards_of
+    from xmarl_bench.records.files import write_json
+    from xmarl_bench.scoring.selection import select_explainers
+
+    cards = cards_of(select_explainers(["all"]))
+    write_json(folder / CARDS, cards)
+    print(f"{folder / CARDS}: {len(cards)} explainers. Run: xmarl-bench board build {folder}")
 
 
 @board.command()

@@ -1,4 +1,4 @@
-"""Names of the controls, and what lists show of them. Imports no torch; `controls` makes the masks."""
+"""Names of controls and of communication-only explainers, and what lists show of controls. Imports no torch; `controls` makes the masks."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ ORACLE: Final = "oracle"
 SOFT_ORACLE: Final = "soft-oracle"
 NEAREST: Final = "nearest"
 INITIAL_ATTENTION: Final = "initial-attention"
+MESSAGES_ONLY: Final = "-messages"  # ends the name of an explainer that keeps every agent's own edge
 
 # Of every control that needs nothing but a policy and states, in the order of lists and entries.
 SUMMARIES: Final = {

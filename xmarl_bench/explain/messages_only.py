@@ -15,12 +15,11 @@ from torch import Tensor
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer
+from xmarl_bench.explain.control_names import MESSAGES_ONLY
 from xmarl_bench.explain.explainer import Explain, Explainer, Fit, as_floats
 from xmarl_bench.explain.node_importance import as_edge_masks
 from xmarl_bench.explain.simulated import Simulated
 from xmarl_bench.policy import ActionDistribution, Policy
-
-SUFFIX = "-messages"
 
 
 class OwnKept(Policy):
@@ -80,7 +79,7 @@ def messages_only(thing: object) -> Explainer:
 
     return replace(
         explainer,
-        name=f"{explainer.name}{SUFFIX}",
+        name=f"{explainer.name}{MESSAGES_ONLY}",
         explain=_asked(explainer, explainer.explain),
         summary=f"{explainer.summary}; an agent always hears itself",
         hyperparameters={**explainer.hyperparameters, "own_edge": "kept"},

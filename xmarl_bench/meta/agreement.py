@@ -1,51 +1,17 @@
-"""How far metrics, and absence models, agree on the order of explainers: matrices of Spearman's correlations.
-
-Each policy orders its explainers by each metric; the agreement of two metrics is the correlation of their
-orders, mean over policies. Values are oriented so that higher is better, so 1 means the same order.
-"""
+"""How far absence models agree: on planted policies, and about who matters to a receiver."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from xmarl_bench.board.agreement import Floats, Scores
 from xmarl_bench.meta.planted_suite import PlantedScore
 from xmarl_bench.meta.right_ranking import shapley_values
 from xmarl_bench.metrics import rank_correlation
 from xmarl_bench.metrics.absence import Absence
-from xmarl_bench.metrics.table import Direction, by_name
 from xmarl_bench.scoring.states import States
-
-MIN_EXPLAINERS: Final = 5  # with values of both metrics: an order of fewer means little
-Floats = NDArray[np.float64]
-Scores = Mapping[str, Mapping[str, float | None]]  # explainer -> metric -> value, of one policy
-
-
-def rank_agreement(policies: Iterable[Scores], metrics: Sequence[str]) -> Floats:
-    """(M, M) agreement of metrics; NaN if no policy has MIN_EXPLAINERS explainers with both."""
-    found = [_of_policy(scores, metrics) for scores in policies]
-    if not found:
-        return np.full((len(metrics), len(metrics)), np.nan)
-    stacked = np.stack(found)
-    known = ~np.isnan(stacked)
-    return np.where(known.any(axis=0), np.nansum(stacked, axis=0) / np.maximum(1, known.sum(axis=0)), np.nan)
-
-
-def scores_of_board(board: Mapping[str, Any]) -> list[Scores]:
-    """Scores of each policy of a leaderboard's JSON that passes the gate, without controls."""
-    return [
-        {
-            row["explainer"]: {name: summary and summary["value"] for name, summary in row["metrics"].items()}
-            for row in policy["rows"]
-            if not row["control"]
-        }
-        for table in board["tables"]
-        for policy in table["policies"]
-        if policy["gate"] is None
-    ]
 
 
 def scores_of_planted(found: Sequence[PlantedScore]) -> list[Scores]:
@@ -68,20 +34,3 @@ def absences_agree(states: Iterable[States]) -> Floats:
             values = [shapley_values(each.tables[absence].delta) for absence in Absence]
             found.append([[rank_correlation(one, other) for other in values] for one in values])
     return np.mean(found, axis=0) if found else np.full((len(Absence), len(Absence)), np.nan)
-
-
-def _of_policy(scores: Scores, metrics: Sequence[str]) -> Floats:
-    values = np.array([[_oriented(row.get(name), name) for row in scores.values()] for name in metrics])
-    agreement = np.full((len(metrics), len(metrics)), np.nan)
-    for a, one in enumerate(values):
-        for b, other in enumerate(values):
-            both = ~np.isnan(one) & ~np.isnan(other)
-            if both.sum() >= MIN_EXPLAINERS:
-                agreement[a, b] = rank_correlation(one[both].round(6), other[both].round(6))
-    return agreement
-
-
-def _oriented(value: float | None, metric: str) -> float:
-    if value is None:
-        return np.nan
-    return -value if by_name()[metric].direction is Direction.LOWER else value

@@ -29,8 +29,8 @@ from tests.helpers.policies import random_observations, small_policy
 from tests.helpers.recurrent_policies import random_weights, recurrent_policy, remembering
 from tests.helpers.shipped import ready, shipped_explainers, shipped_plugins
 from xmarl_bench.errors import InputError
+from xmarl_bench.explain.control_names import MESSAGES_ONLY
 from xmarl_bench.explain.explainer import Explainer, explain_of, run_explainer
-from xmarl_bench.explain.messages_only import SUFFIX
 from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.policy import ModulePolicy, Policy
 from xmarl_bench.policy.build import LayeredPolicy
@@ -53,7 +53,7 @@ each = every(SHIPPED)
 # Influence refuses policies whose coefficients are not known: see test_influence.py.
 on_any_network = every([explainer for explainer in SHIPPED if explainer is not influence])
 # What `-messages` adds does not depend on the network: see test_messages_only.py.
-of_all_edges = [explainer for explainer in SHIPPED if not explainer.name.endswith(SUFFIX)]
+of_all_edges = [explainer for explainer in SHIPPED if not explainer.name.endswith(MESSAGES_ONLY)]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -93,13 +93,13 @@ def everything_of(module: nn.Module) -> dict[str, Any]:
 
 def test_every_explainer_has_a_file_that_names_its_paper() -> None:
     names = {explainer.name for explainer in SHIPPED}
-    assert {name for name in names if not name.endswith(SUFFIX)} == {
+    assert {name for name in names if not name.endswith(MESSAGES_ONLY)} == {
         "agent-shapley", "attention", "attention-rowmax", "gnn_explainer", "gnn_explainer-tuned", "gradient",
         "graphmask", "graphmask-pyg", "influence", "integrated_gradients", "occlusion", "shapley",
     }  # fmt: skip
     for plugin in shipped_plugins():
         module = __import__(plugin.module, fromlist=["_"])
-        assert module.__name__.rsplit(".", 1)[1] == plugin.name.removesuffix(SUFFIX).replace("-", "_")
+        assert module.__name__.rsplit(".", 1)[1] == plugin.name.removesuffix(MESSAGES_ONLY).replace("-", "_")
         card = str(module.__doc__)
         assert "Paper" in card or "Source" in card, card
         assert "Departures" in card or "Source: the benchmark's own" in card, card
@@ -287,7 +287,7 @@ from dataclasses import replace
 from importlib.metadata import entry_points
 from xmarl_baselines.explainers import gnn_explainer
 from tests.helpers.policies import random_observations, small_policy
-from xmarl_bench.explain.messages_only import SUFFIX
+from xmarl_bench.explain.control_names import MESSAGES_ONLY
 from xmarl_bench.explain.explainer import run_explainer
 gnn_explainer.SETTINGS = replace(gnn_explainer.SETTINGS, epochs=3)  # as much memory as 100, in less time
 for name in sys.argv[1:]:

@@ -19,7 +19,7 @@ from tests.conftest import RunCli
 from tests.helpers.made_entries import made_board, made_entry
 from xmarl_bench.board import build, build_board, check_board
 from xmarl_bench.board.build import derived
-from xmarl_bench.entry.file import read_entries, write_entry
+from xmarl_bench.entry.file import write_entry
 
 OLD = {"a": 0.9, "b": 0.5}
 
@@ -122,16 +122,13 @@ def test_an_entry_changes_few_lines_of_the_json(board: Path) -> None:
 
 
 @pytest.mark.slow
-def test_entries_keep_their_budgets(board: Path) -> None:
+def test_the_chart_of_budgets_has_the_curves_of_the_entries(board: Path) -> None:
     (page,) = (board / "pages").glob("p1-*.js")
-    details = json.loads(re.sub(r"^globalThis\.\w+=|;\n$", "", page.read_text()))
-    entry = next(
-        e for _, e in read_entries(board / "entries") if (e.policy.name, e.explainer.name) == ("p1", "a")
-    )
-    budgets = details[entry.entry_id[:16]]["budgets"]  # four agents; the same curve in every episode
-    assert budgets["budget"]["oracle"] == [[0.3333], [0.6667], [1.0]]
-    assert budgets["budget"]["random"] == [[0.0]] * 3
-    assert budgets["comm_budget"]["explained"] == [[0.45, 0.45, 0.45], [0.9, 0.9, 0.9]]
+    found = json.loads(re.sub(r"^globalThis\.\w+=|;\n$", "", page.read_text()))
+    messages, edges = found["charts"]  # four agents; the same curve in every episode
+    assert "<td>0.333</td><td>0.667</td><td>1.000</td>" in edges.partition(">oracle</th>")[2]
+    assert "<td>0.000</td>" * 3 in edges.partition(">random</th>")[2]
+    assert "<td>0.450 [0.450, 0.450]</td><td>0.900 [0.900, 0.900]</td>" in messages.partition(">a</th>")[2]
 
 
 @pytest.mark.slow
@@ -202,7 +199,7 @@ def build_in_child(folder: Path, kill_at: int | None) -> int:
 
 def links(folder: Path) -> Iterator[Path]:
     """All files that the pages need."""
-    for page in ("index.html", "entry.html"):
+    for page in ("index.html", "entry.html", "scores.html"):
         found = re.findall(r'(?:src|href)="(pages/[^"]*)"', (folder / page).read_text())
         assert found
         for link in found:

@@ -157,14 +157,15 @@ def test_ranking_over_policies_has_each_explainers_mean() -> None:
     assert rows["partial"]["n_policies"] == 1
     assert rows["random"]["control"] is True
     assert rows["random"]["value"] == pytest.approx(0.1)
+    assert rows["partial"]["reason"] == "scored on 1 of 6 policies"
     cells = [(each["task"], each["n_agents"]) for each in made["rankings"]]
-    assert cells == [(None, None), *(("blind_navigation_v0", n) for n in (3, 4, 5))]
+    assert cells == [(None, None), *(("blind_navigation_v0", n) for n in (None, 3, 4, 5))]
 
 
 def test_gated_policies_are_not_ranked() -> None:
     listed = [made_entry("fine", "a", 0.5), made_entry("failing", "a", 0.9, success_rate=0.2)]
     made = board(listed)
-    (overall, _) = made["rankings"]
+    overall = made["rankings"][0]
     assert [policy["name"] for policy in overall["policies"]] == ["fine"]
     groups = {policy["name"]: policy for policy in made["tables"][0]["policies"]}
     (row,) = [row for row in groups["failing"]["rows"] if row["entry_id"]]

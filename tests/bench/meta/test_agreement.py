@@ -12,7 +12,8 @@ from tests.conftest import save_bundle
 from tests.helpers.made_entries import made_board, made_entry
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.board import board_of
-from xmarl_bench.meta.agreement import absences_agree, rank_agreement, scores_of_board, scores_of_planted
+from xmarl_bench.board.agreement import rank_agreement, scores_of_board
+from xmarl_bench.meta.agreement import absences_agree, scores_of_planted
 from xmarl_bench.meta.degenerate import RIGHT, degenerate_scores, failed_checks, kinds_of
 from xmarl_bench.meta.planted_suite import score_planted
 from xmarl_bench.metrics.absence import Absence
@@ -40,7 +41,7 @@ def test_agreement_by_hand() -> None:
 
 def test_policies_of_the_board_without_controls_and_gates() -> None:
     entries = [*made_board(["p0"], {"a": 0.9, "b": 0.5}), made_entry("failing", "a", 0.9, success_rate=0.2)]
-    (scores,) = scores_of_board(board_of([(f"{k}.json", entry) for k, entry in enumerate(entries)]))
+    (scores,) = scores_of_board(board_of([(f"{k}.json", entry) for k, entry in enumerate(entries)])["tables"])
     assert set(scores) == {"a", "b"}
     assert scores["a"]["message_fidelity"] == pytest.approx(0.9, abs=0.1)
 

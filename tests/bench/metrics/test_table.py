@@ -34,7 +34,8 @@ NAMING = {
     "meta/degenerate.py": "tests certain metrics on degenerate explanations",
     "policy/default_policies.py": "ranks policies by what they can do",
     "submission/consistency.py": "which metrics follow from which",
-    "board/assets/index.js": "what the page shows first, and of a policy",
+    "board/columns.py": "draws the metric that can be gamed, and the agreement of metrics",
+    "board/assets/scores.js": "what the page shows first, and of a policy",
 }
 PAPER = "papers/kailas2025/"  # its statements are about certain metrics
 # Fields of a policy with the name of a metric.

@@ -1,8 +1,6 @@
 // One entry, given in the address: entry.html#<first 16 digits of its id>.
 "use strict";
 
-const $ = (id) => document.getElementById(id);
-
 /** Nested JSON as pairs for a definition list, with names such as "a.b". */
 function pairs(value, name = "") {
   if (value === null || value === undefined) return [[name, "\u2013"]];
@@ -19,11 +17,11 @@ function showMetrics(row, details) {
   const lines = METRICS.map((name, k) => {
     const summary = row.metrics[name];
     const [n, nan] = details.n[name] ?? [null, 0];
-    const beside = (other) => element("td", {}, number(other?.metrics[name]?.[0]));
+    const beside = (other) => element("td", { class: "number" }, number(other?.metrics[name]?.[0], DIGITS[name]));
     return element("tr", {}, element("th", { scope: "row" }, HEADINGS[name]),
-      element("td", { class: "number" }, summary ? intervalNode(...summary, null) : element("span", { class: "none" }, row.why[name] ?? "not measured")),
+      element("td", { class: "number" }, summary ? intervalNode(...summary, DIGITS[name]) : element("span", { class: "none" }, row.why[name] ?? "not measured")),
       element("td", {}, n === null ? "" : `${n}${nan ? `, ${nan} not a number` : ""}`),
-      beside(random), beside(oracle), element("td", {}, number(details.inverted?.[k]?.[0])));
+      beside(random), beside(oracle), element("td", { class: "number" }, number(details.inverted?.[k]?.[0], DIGITS[name])));
   });
   $("metrics").replaceChildren(
     element("caption", {}, "Means over episodes with 95 % intervals, and controls on the same states"),
@@ -31,18 +29,29 @@ function showMetrics(row, details) {
     element("tbody", {}, ...lines));
 }
 
+/** Provenance in groups, each a list of names and values. */
 function showProvenance(row, details) {
-  const cost = details.cost;
-  const listed = [
-    ["entry", element("a", { href: row.file }, details.entry_id)],
-    ["submitter", row.submitter ?? "\u2013"],
-    ["variants tried on these seeds, as the submitter says", String(row.variantsTried ?? "\u2013")],
-    ["protocol", describeProtocol(row.table.protocol)],
-    ["first episode's seed", String(details.first_seed)],
-    ["time for masks", `${(1000 * cost.explain_seconds_per_timestep).toPrecision(3)} ms per timestep`],
-    ...pairs({ verification: details.verification, explainer: details.explainer, policy: details.policy, provenance: details.provenance, reported: details.reported }),
-  ];
-  $("provenance").replaceChildren(...listed.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)]));
+  const { packages, machine, os, cpu, cpu_capability: capability, threads, jobs, python, ...run } = details.provenance;
+  const { policy: of, explainer } = details;
+  const groups = {
+    Entry: [
+      ["entry", element("a", { href: row.file }, details.entry_id)],
+      ["submitter", row.submitter ?? "the project"],
+      ["variants tried on these seeds, as the submitter says", String(row.variantsTried ?? "\u2013")],
+      ["protocol", describeProtocol(row.table.protocol)],
+      ["first episode's seed", String(details.first_seed)],
+      ["time for masks", `${(1000 * details.cost.explain_seconds_per_timestep).toPrecision(3)} ms per timestep`],
+      ...(details.reported ? pairs(details.reported, "reported") : []),
+    ],
+    Verification: pairs(details.verification),
+    Explainer: pairs(explainer),
+    Policy: pairs(of),
+    Run: pairs(run),
+    Machine: pairs({ machine, os, cpu, "vector instructions": capability, threads, jobs }),
+    Software: pairs({ python, ...packages }),
+  };
+  $("provenance").replaceChildren(...Object.entries(groups).flatMap(([title, listed]) => [element("h3", {}, title),
+    element("dl", {}, ...listed.flatMap(([name, value]) => [element("dt", {}, name.replaceAll("_", " ")), element("dd", {}, value)]))]));
 }
 
 function showCommand(details) {
@@ -89,17 +98,23 @@ async function showEntry() {
   document.title = `${row.explainer} on ${policy.name}, xmarl-bench`;
   $("title").textContent = `${row.explainer} on ${policy.name}`;
   const place = row.rank === null ? [] : [" Rank ", placeNode(row.rank, row.rankInterval, row.tie), " on this policy."];
-  $("summary").replaceChildren(`${table.task}, ${table.n_agents} agents; ${describeProtocol(table.protocol)} of at most ${table.max_cycles} steps.`, ...place, " ", badge(row.verification), freshNode(row));
+  $("summary").replaceChildren(element("a", { href: `pages/explainer-${row.explainer}.html` }, row.explainer), `, ${table.task}, ${table.n_agents} agents; ${describeProtocol(table.protocol)} of at most ${table.max_cycles} steps.`, ...place, " ", badge(row.verification), freshNode(row));
   $("gate").textContent = [policy.gate ? `Not ranked: ${policy.gate}.` : null, row.fresh?.worse].filter(Boolean).join(" ");
-  const mine = details[row.id];
+  const mine = details.entries[row.id];
   showMetrics(row, mine);
   showCommand(mine);
   showProvenance(row, mine);
   showAnimation(row);
-  const place2 = $("budget-figure");
-  await show(place2, async () => ["comm_budget", "budget"].flatMap((kind) => [
-    element("h3", {}, kind === "budget" ? "All edges" : "Messages between agents"), ...budgetChart(place2, [[row.explainer, mine]], kind)]));
+  $("budgets").innerHTML = details.charts.join("") || "<p class='dim'>This entry has no budgets: it is too old, or the team is too small.</p>";
+  for (const line of $("budgets").querySelectorAll("g.line:not(.bound)")) { // this entry's line alone in colour
+    const own = line.dataset.entry === row.id;
+    line.classList.toggle("on", own);
+    for (const chip of line.closest("figure").querySelectorAll(".chip[data-line]")) {
+      if (chip.dataset.line === line.dataset.line) chip.setAttribute("aria-pressed", String(own));
+    }
+    if (own) line.parentNode.append(line);
+  }
 }
 
-addEventListener("hashchange", () => location.reload());
+addEventListener("hashchange", () => { if (/^#[0-9a-f]{16}$/.test(location.hash)) location.reload(); });
 showEntry().catch((error) => { $("summary").textContent = error.message; console.error(error); });

@@ -1,7 +1,8 @@
-"""A small board, and a browser to show it."""
+"""Boards of no, one, three and sixty explainers, and a browser to show them."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -10,11 +11,15 @@ from PIL import Image
 from tests.bench.board.page.browser import browse, chromium
 from tests.helpers.made_entries import made_board, made_entry
 from xmarl_bench.board import ORDER, build_board
+from xmarl_bench.board.build import CARDS
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, FreshDifference, FreshSeeds, Verification, entry_id
 
 __all__ = ["browse", "chromium"]
 EXPLAINERS = {"good": 0.9, "fair": 0.6, "bad": 0.3}
+CARD = {"summary": "made for tests", "absence": "resample", "paper": "Somebody, \u201cA paper\u201d (2020)",
+        "planted": {"decoy": 0.6, "one-sender": 1.0}}  # fmt: skip
+LONG = "an-explainer-with-a-name-of-one-hundred-characters".ljust(100, "x")
 HOSTILE = '<img src="x" onerror="document.title = 1">'
 
 
@@ -44,5 +49,27 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     frames[0].save(
         folder / "animations" / f"{entries[0].entry_id[:16]}.avif", save_all=True, append_images=frames[1:]
     )
+    (folder / CARDS).write_text(json.dumps({"good": CARD}))
+    build_board(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def crowded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sixty explainers on a policy, one of them with a name of 100 characters."""
+    folder = tmp_path_factory.mktemp("crowded")
+    for k in range(60):
+        name = LONG if k == 30 else f"explainer_number-{k}"
+        write_entry(
+            folder / "entries", made_entry("policy", name, k / 60, n_agents=5, submitter=f"Submitter {k}")
+        )
+    build_board(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def lonely(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("lonely")
+    write_entry(folder / "entries", made_entry("policy", "alone", 0.7))
     build_board(folder)
     return folder

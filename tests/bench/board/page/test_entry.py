@@ -32,12 +32,13 @@ def test_the_page_shows_numbers_provenance_and_command(board: Path, browse: Brow
     assert "Rank 2" in page.locator("#summary").inner_text()
     expect(page.locator("#command")).to_have_text(command_of(entry))
     shown = page.locator("#provenance").inner_text()
-    for text in (entry.entry_id, entry.policy.weights_sha256, "made:fair", "2026-01-01T00:00:00Z"):
+    for text in (entry.entry_id, entry.policy.weights_sha256, "made:fair", "2026-01-01T00:00:00Z", "Machine"):
         assert text in shown
     link = page.get_by_role("link", name=entry.entry_id).get_attribute("href")
     assert link
     assert (board / link).is_file()
-    expect(page.locator("#budget-figure svg[aria-label^=FidDelta]")).to_have_count(2)
+    expect(page.locator("#budgets figure")).to_have_count(2)
+    expect(page.locator("#budgets g.line.on").first).to_have_attribute("data-line", "fair")
     page.get_by_role("button", name="Copy").click()
     expect(page.locator("#copied")).not_to_be_empty()
 
@@ -50,8 +51,8 @@ def test_what_fresh_seeds_say_stands_beside_the_badge(board: Path, browse: Brows
     expect(page.locator("#gate")).to_contain_text(
         "It does worse on fresh seeds: message fidelity 0.500 there"
     )
-    expect(page.locator("#provenance")).to_contain_text("verification.fresh.value")
-    row = browse(board / "index.html", "#task=blind_passage_v0&kind=0").locator("#scores tbody tr").first
+    expect(page.locator("#provenance")).to_contain_text("fresh.value")
+    row = browse(board / "scores.html", "#task=blind_passage_v0").locator("#scores tbody tr").first
     expect(row).to_contain_text("public \u2212 fresh 0.400")
 
 
@@ -74,7 +75,7 @@ def test_pages_work_without_an_animation(board: Path, browse: Browse) -> None:
     page = browse(board / "entry.html", f"#{identity}", viewport={"width": 360, "height": 740})
     expect(page.locator("h1")).to_have_text("good on p2")
     expect(page.locator("#animation")).to_be_hidden()
-    expect(page.locator("#budget-figure svg").first).to_be_visible()
+    expect(page.locator("#budgets figure").first).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
 
 

@@ -72,6 +72,7 @@ SIGNED ?= xmarl-bench
 rescore: $(STAMP)  ## Score all on all into leaderboard/, verify every entry, then `make board`: hours
 	$(MAKE) score ALL=1 OUT=leaderboard
 	$(MAKE) larger OUT=leaderboard
+	$(BIN)/xmarl-bench board explainers
 	$(BIN)/xmarl-bench verify leaderboard --tier full --by $(SIGNED) --resume --jobs 2
 	$(MAKE) board
 

@@ -44,7 +44,7 @@ def board_rows(
                      row["rank_interval"], row["tie_group"], row["submitter"], row["verification"], identity,
                      int(f"{identity}.avif" in animations), reasons.index(why), row["file"],
                      [numbers(name, row["metrics"][name]) for name in COLUMNS], row["variants_tried"],
-                     _fresh(row["fresh"]), None if row["cost"] is None else float(f"{1000 * row['cost']:.3g}")]
+                     _fresh(row["fresh"]), row["cost"] and float(f"{1000 * row['cost']:.3g}")]
                 )  # fmt: skip
     return {
         # A list, because keys of JSON have no order.

@@ -1,4 +1,4 @@
-"""Names of controls and of communication-only explainers, and what lists show of controls. Imports no torch; `controls` makes the masks."""
+"""Names of controls and of communication-only explainers. Imports no torch; `controls` makes the masks."""
 
 from __future__ import annotations
 

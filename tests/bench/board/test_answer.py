@@ -42,7 +42,7 @@ def test_a_tie_is_not_a_win() -> None:
     assert said[1].startswith("`b` does not differ significantly from the first; the next, `c`, is 0.600")
     tied = answer_of(ranking({"a": [0.9, 0.5, 0.9], "b": [0.5, 0.9, 0.8]}))
     assert tied[1] == "No other explainer differs significantly from the first."
-    same = answer_of(ranking({"a": [0.9, 0.5], "b": [0.9, 0.5]}))
+    same = answer_of(ranking({"a": [0.9, 0.8], "b": [0.9, 0.8]}))
     assert same[0].startswith("`a` and `b` lead with")
 
 

@@ -40,8 +40,8 @@ def answer(ranking: dict[str, Any]) -> str:
 def section(ranking: dict[str, Any]) -> str:
     """The explainers and three controls in order."""
     lines = [
-        f"Means over the {counted(len(ranking['policies']), 'policy')} scored (`make rescore`); 0 is a random "
-        "ranking of the messages and 1 the best one:",
+        f"Means over the {counted(len(ranking['policies']), 'policy')} scored (`make rescore`); 0 is a "
+        "random ranking of the messages and 1 the best one:",
         "",
         "| explainer | message fidelity | FidDelta |",
         "|---|---|---|",

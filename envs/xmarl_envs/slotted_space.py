@@ -61,7 +61,7 @@ class SlottedSpace:
         self.renew()
         # Pymunk allocates its output memory at the first read. The number of bodies never changes, so the
         # views below stay valid.
-        self._read()
+        self.read()
         memory: Floats = np.frombuffer(self._state_out.float_buf(), count=self.agents.size)
         seen = memory.reshape(self.agents.shape)
         self.position, self.velocity = seen[..., :2], seen[..., 2:]
@@ -95,6 +95,11 @@ class SlottedSpace:
 
     def step(self, force: Floats) -> None:
         """Advance by TIME_STEP under forces (n_slots, N, 2) in newton."""
+        self.advance(force)
+        self.read()
+
+    def advance(self, force: Floats) -> None:
+        """As `step`, without reading `position` and `velocity`."""
         # A move changes the position by the old velocity, then the velocity. Only the last move of a substep
         # applies drag and force, for the whole substep: contacts are found early, free flight is the same.
         np.multiply(force, PUSH, out=self._force)
@@ -106,9 +111,9 @@ class SlottedSpace:
             space.damping = DAMPING
             set_space_bodies(space, FORCE, self._force_in)  # every Space.step clears it
             space.step(MOVE)
-        self._read()
 
-    def _read(self) -> None:
+    def read(self) -> None:
+        """Let `position` and `velocity` show the bodies as they are now."""
         self._state_out.clear()
         get_space_bodies(self._space, STATE, self._state_out)
 

@@ -13,7 +13,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,9 +21,10 @@ from xmarl_bench.board.columns import COLUMNS
 from xmarl_bench.board.details import Details, details_of
 from xmarl_bench.board.page import PAGES, page_files
 from xmarl_bench.board.tables import board_of
-from xmarl_bench.entry.file import read_entry
+from xmarl_bench.entry.file import check_name, entry_files, read_entry
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.records.csv_cells import csv_cell
 from xmarl_bench.records.files import locked
 
 ANIMATIONS = "animations"
@@ -80,8 +81,9 @@ def derived(folder: Path) -> Derived:
 
     def read() -> Iterator[tuple[str, Entry]]:
         """Yield entries one at a time, because many are large; `details` keeps what the page shows."""
-        for path in sorted((folder / "entries").glob("*.json")):
+        for path in entry_files(folder / "entries").entries:
             entry, file = read_entry(path), f"entries/{path.name}"
+            check_name(path, entry)
             details[file] = details_of(entry)
             known.add(animation_name(entry))
             yield file, entry
@@ -116,23 +118,31 @@ def board_csv(board: Mapping[str, Any]) -> bytes:
         ["protocol", "episodes", "timesteps", "task", "n_agents", "max_cycles", "oracle", "policy",
          "trained_n_agents", "weights_sha256", "gate", "explainer", "control", "rank", "rank_low",
          "rank_high", "tie_group", "submitter", "variants_tried", "verification", "fresh_from",
-         "public_less_fresh", "public_less_fresh_low", "public_less_fresh_high", "entry_id"]
+         "public_less_fresh", "public_less_fresh_low", "public_less_fresh_high", "entry_id", "date", "paper",
+         "code", "verified_by", "wall", "partial", "same_masks_as"]
         + [f"{metric}{part}" for metric in COLUMNS for part in ("", "_low", "_high")]
     )  # fmt: skip
     for table in board["tables"]:
         protocol = board["protocols"][table["protocol"]]
         for policy in table["policies"]:
             for row in policy["rows"]:
-                writer.writerow(
+                cells = (
                     [protocol["id"], protocol["episodes"], protocol["timesteps"], table["task"],
                      table["n_agents"], table["max_cycles"], table["oracle"], policy["name"],
                      policy["trained_n_agents"], policy["weights_sha256"], policy["gate"],
                      row["explainer"], row["control"], row["rank"],
                      *(row["rank_interval"] or (None, None)), row["tie_group"], row["submitter"],
-                     row["variants_tried"], row["verification"], *_fresh(row["fresh"]), row["entry_id"]]
+                     row["variants_tried"], row["verification"], *_fresh(row["fresh"]), row["entry_id"],
+                     *(row[name] for name in ("date", "paper", "code", "verified_by", "wall", "partial")),
+                     _names(row["same_masks_as"])]
                     + [number for metric in COLUMNS for number in _numbers(row["metrics"][metric])]
                 )  # fmt: skip
+                writer.writerow([csv_cell(each) for each in cells])
     return text.getvalue().encode()
+
+
+def _names(rows: Sequence[Mapping[str, Any]]) -> str | None:
+    return "; ".join(f"{each['explainer']} of {each['submitter'] or 'nobody'}" for each in rows) or None
 
 
 def _fresh(fresh: Mapping[str, Any] | None) -> tuple[Any, ...]:

@@ -21,6 +21,8 @@ from xmarl_bench.board.columns import ORDER, PAPER, POLICY_METRICS
 from xmarl_bench.board.gate import gate_reason
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
+from xmarl_bench.entry.mask_digest import mask_digest
+from xmarl_bench.entry.partial import partial_reason
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
 from xmarl_bench.explain.control_names import INVERTED, NEAREST, RANDOM
@@ -53,10 +55,11 @@ class Group:
 
     @property
     def ranked(self) -> list[Json]:
-        """The ranked rows: not controls, not those of gated policies, not those without a value."""
+        """The ranked rows: not controls, partial scores, rows of gated policies, and rows without a value."""
         if self.policy["gate"] is not None:
             return []
-        return [row for row in self.rows if not row["control"] and value_of(row) is not None]
+        whole = [row for row in self.rows if row["partial"] is None and not row["control"]]
+        return [row for row in whole if value_of(row) is not None]
 
 
 def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
@@ -144,6 +147,14 @@ def _row(file: str, entry: Entry, k: int) -> Json:
         "submitter": entry.submitter,
         "variants_tried": entry.variants_tried,
         "verification": entry.verification.status,
+        "verified_by": entry.verification.by,
+        "wall": entry.verification.wall,
+        "date": entry.provenance.finished[:10],
+        "paper": entry.explainer.paper,
+        "code": entry.explainer.code,
+        "partial": partial_reason(entry.protocol, cell),
+        "masks": mask_digest(entry, cell),
+        "same_masks_as": [],
         "fresh": _fresh(entry, k),
         "cost": entry.cost.explain_seconds_per_timestep,
         "metrics": _shown(cell.metrics),
@@ -164,6 +175,8 @@ def _control_row(file: str, name: str, metrics: ControlMetrics) -> Json:
         "submitter": None,
         "variants_tried": None,
         "verification": "",
+        **dict.fromkeys(("verified_by", "wall", "date", "paper", "code", "partial", "masks")),
+        "same_masks_as": [],
         "fresh": None,
         "cost": None,
         "metrics": _shown(metrics),
@@ -207,6 +220,14 @@ def _finish(group: Group) -> None:
         return by is None, 0.0 if by is None else -round(by, DIGITS), row["file"], row["explainer"]
 
     group.rows.sort(key=key)
+    for row in group.rows:
+        row["same_masks_as"] = [
+            {"explainer": other["explainer"], "submitter": other["submitter"]}
+            for other in group.rows
+            if row["masks"] is not None
+            and row["masks"] == other["masks"]
+            and row["submitter"] != other["submitter"]
+        ]
     rows = group.ranked
     if not rows:
         return

@@ -23,11 +23,18 @@ def build(
     ] = False,
 ) -> None:
     """Derive leaderboard.json, leaderboard.csv and the page from the entries."""
+    import sys
+
     from xmarl_bench.board import build_board
+    from xmarl_bench.entry.file import entry_files
     from xmarl_bench.errors import InputError
+    from xmarl_bench.records.strict_json import printable
 
     if not (folder / "entries").is_dir():
         raise InputError(f"folder {folder / 'entries'} does not exist: give the folder of a leaderboard.")
+    strays = entry_files(folder / "entries").strays
+    for path in strays:
+        print(f"xmarl-bench: {printable(path)} is not an entry, and is left out.", file=sys.stderr)
     if animations:
         from xmarl_bench.render.board_animations import draw_missing  # imports torch
 
@@ -70,13 +77,14 @@ def serve(
 ) -> None:
     """Serve the page on this machine only, until interrupted."""
     from functools import partial
-    from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+    from http.server import ThreadingHTTPServer
 
+    from xmarl_bench.board.server import PlainFiles
     from xmarl_bench.errors import InputError
 
     if not (folder / "index.html").is_file():
         raise InputError(f"{folder / 'index.html'} does not exist: run xmarl-bench board build {folder}.")
-    handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
+    handler = partial(PlainFiles, directory=str(folder))
     try:
         server = ThreadingHTTPServer(("127.0.0.1", port), handler)
     except OSError as error:

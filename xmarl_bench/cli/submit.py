@@ -18,6 +18,7 @@ def submit(
         typer.Option(help="Bundle of a policy that no package registers. Repeatable."),
     ] = [],  # noqa: B006
     code: Annotated[str | None, typer.Option(help="Link to the explainer's code.")] = None,
+    paper: Annotated[str | None, typer.Option(help="Link to the explainer's paper.")] = None,
     contact: Annotated[str | None, typer.Option(help="Address for questions of the maintainers.")] = None,
     variants_tried: Annotated[
         int | None,
@@ -43,7 +44,7 @@ def submit(
     if out.exists():
         raise InputError(f"{out} already exists: give another name, or remove it first.")
     given = {load_card(folder).name: folder for folder in policy}
-    submitted = [as_submitted(read_entry(path), submitter, code, variants_tried) for path in entries]
+    submitted = [as_submitted(read_entry(path), submitter, code, variants_tried, paper) for path in entries]
     names = dict.fromkeys(entry.policy.name for entry in submitted)
     for name in given.keys() - names.keys():
         raise InputError(f"none of the entries is of policy {name!r}: leave it out, or give its entries.")
@@ -60,9 +61,11 @@ def submit(
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / out.name
         write_bundle(draft, files)
-        findings = check(draft).findings
-    if findings:
-        for finding in findings:
+        checked = check(draft)
+    for remark in checked.remarks:
+        print(f"{out}: {remark}")
+    if checked.findings:
+        for finding in checked.findings:
             print(f"{out}: {finding}")
         raise SystemExit(1)
     write_bundle(out, files)

@@ -21,6 +21,7 @@ def validate(paths: Paths) -> None:
 
     from xmarl_bench.counted import counted
     from xmarl_bench.errors import InputError
+    from xmarl_bench.records.strict_json import printable
     from xmarl_bench.submission.checking import check
 
     code = 0
@@ -31,10 +32,11 @@ def validate(paths: Paths) -> None:
             print(f"xmarl-bench: {error}", file=sys.stderr)
             code = 2
             continue
-        for finding in checked.findings:
-            print(f"{path}: {finding}")
+        name = printable(path)
+        for sentence in (*checked.findings, *checked.remarks):
+            print(f"{name}: {sentence}")
         if checked.findings:
             code = max(code, 1)
         else:
-            print(f"{path}: valid, {counted(len(checked.entries), 'entry')}.")
+            print(f"{name}: valid, {counted(len(checked.entries), 'entry')}.")
     raise SystemExit(code)

@@ -74,6 +74,7 @@ def verify(
     from xmarl_bench.errors import InputError, unknown
     from xmarl_bench.parallel.fan_out import Failure
     from xmarl_bench.parallel.workers import Workers
+    from xmarl_bench.records.strict_json import printable
     from xmarl_bench.submission.batch import Unit, verify_all
     from xmarl_bench.submission.checking import check
     from xmarl_bench.submission.limits import Limits
@@ -96,8 +97,8 @@ def verify(
             print(f"xmarl-bench: {error}", file=sys.stderr)
             code = 2
             continue
-        for finding in checked.findings:
-            print(f"{path}: {finding}", file=sys.stderr if as_json else sys.stdout)
+        for sentence in (*checked.findings, *checked.remarks):
+            print(f"{printable(path)}: {sentence}", file=sys.stderr if as_json else sys.stdout)
         if checked.findings:
             code = max(code, 1)
             continue
@@ -114,7 +115,7 @@ def verify(
     for k, verdict in verify_all(units, options, workers):
         (path, folder), file = places[k], units[k].file
         if isinstance(verdict, Failure):
-            print(f"xmarl-bench: {path}: {file}: {verdict.error}", file=sys.stderr)
+            print(f"xmarl-bench: {printable(path)}: {printable(file)}: {verdict.error}", file=sys.stderr)
             code = 2
             continue
         verdicts[k] = verdict.record(str(path), file)

@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
@@ -164,6 +164,31 @@ def folder_of_entries(folder: Path) -> Path:
     return inner if inner.is_dir() else folder
 
 
+class Listed(NamedTuple):
+    entries: list[Path]
+    strays: list[Path]  # what a file manager leaves (`.DS_Store`, `._a.json`), and files that are not JSON
+
+
+def entry_files(folder: Path) -> Listed:
+    """The files of a folder of entries, sorted by name. Temporary files are in neither list."""
+    listed = Listed([], [])
+    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
+        hidden = path.name.startswith(".")
+        if not hidden and path.suffix == ".json":
+            listed.entries.append(path)
+        elif path.name != SHARED and not (hidden and path.suffix in (".tmp", ".lock")):
+            listed.strays.append(path)
+    return listed
+
+
+def check_name(path: Path, entry: Entry) -> None:
+    """Raise InputError if the file does not have its entry's name: then the entry could be there twice."""
+    if path.name != entry.file_name:
+        where = path.with_name(entry.file_name)
+        what = "remove this copy" if where.exists() else "rename it"
+        raise InputError(f"{path} should be named {entry.file_name}, as its entry: {what}.")
+
+
 def read_entries(folder: Path) -> Sequence[tuple[Path, Entry]]:
     """Every entry of a folder, sorted by file name."""
-    return [(path, read_entry(path)) for path in sorted(folder.glob("*.json"))]
+    return [(path, read_entry(path)) for path in entry_files(folder).entries]

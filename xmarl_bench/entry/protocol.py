@@ -11,6 +11,10 @@ from xmarl_bench.metrics.table import FAMILIES, METRICS
 from xmarl_bench.policy.architecture import DistributionKind
 
 PROTOCOL: Final = "xmarl-3"
+# What a whole score covers; less is valid, but not ranked.
+EPISODES: Final = 50
+LARGER_TEAM: Final = 6  # from this size on, larger than any team of the suite, some timesteps suffice
+LARGER_TIMESTEPS: Final = 40
 # States of the sanity checks: the first episodes of a run, at evenly spaced timesteps.
 SANITY_EPISODES: Final = 5
 SANITY_TIMESTEPS: Final = 20

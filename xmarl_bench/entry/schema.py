@@ -23,8 +23,10 @@ from xmarl_bench.records.field_types import (
     ROUNDING,
     Agents,
     Count,
+    Link,
     Name,
     NotNegative,
+    Person,
     Seconds,
     Sha256,
     Text,
@@ -85,6 +87,7 @@ class ExplainerRecord(Record):
     # To the policy, or to the episode's simulator as well; None: undeclared.
     accesses: Literal["black-box", "gradients", "attention", "simulator"] | None = None
     code: Text | None = None  # link to its code
+    paper: Link | None = left_out()  # link to its paper
     code_sha256: Sha256 | None = None  # of the file that it was loaded from
 
 
@@ -294,7 +297,7 @@ class FreshSeeds(Record):
     """A score on episodes that were unknown when the entry was submitted."""
 
     value: Annotated[str, Field(min_length=1, max_length=LONGEST_VALUE)]  # from which seeds are derived
-    by: Text
+    by: Person
     when: Text  # ISO 8601, UTC
     episodes: Annotated[int, Field(ge=1, le=10**6)]  # of each cell
     cells: Annotated[tuple[dict[Name, FreshDifference], ...], Field(min_length=1, max_length=100)]
@@ -304,13 +307,14 @@ class Verification(Record):
     """Who verified the numbers, how and with which versions. Written by `xmarl-bench verify` only."""
 
     status: Literal["unverified", "recomputed", "spot-rerun", "re-executed"] = "unverified"
-    by: Text | None = None
+    by: Person | None = None
     when: Text | None = None  # ISO 8601, UTC
     harness_version: Text | None = None
     commit: Text | None = left_out()  # of the harness that verified
     dirty: bool | None = left_out()  # whether its sources had changes
     packages: Annotated[dict[Text, Text], Field(max_length=100)] | None = None
     machine: Text | None = None
+    wall: Text | None = left_out()  # what isolated third-party code; None: it ran none
     episodes: Count = 0  # played and explained again, in all cells
     bitwise: bool | None = None  # compared bit for bit; False: within the tolerance for other machines
     max_abs_diff: NotNegative | None = None  # largest over all numbers compared
@@ -320,7 +324,7 @@ class Verification(Record):
 class Entry(Record):
     schema_version: Literal[5] = SCHEMA_VERSION
     entry_id: Sha256
-    submitter: Text | None
+    submitter: Person | None
     policy: PolicyRecord
     explainer: ExplainerRecord
     protocol: Protocol

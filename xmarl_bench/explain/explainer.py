@@ -30,6 +30,9 @@ Access = Literal["black-box", "attention", "gradients"]
 Result = TypeVar("Result")
 
 
+FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+
+
 class Explain(Protocol):
     """Computes how much each message matters."""
 
@@ -192,17 +195,27 @@ def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor
 
 def as_floats(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
     """The mask, detached. Raises InputError unless it is a floating-point tensor of the expected shape."""
+    if isinstance(mask, Tensor) and type(mask) is not Tensor:
+        mask = mask.as_subclass(Tensor)  # a subclass may answer anything when it is checked
+    if isinstance(mask, Tensor) and type(mask) is not Tensor:
+        mask = mask.as_subclass(Tensor)  # a subclass may answer anything when it is checked
     if not isinstance(mask, Tensor):
         raise InputError(
             f"explainer {name!r} returned a {type(mask).__name__}: return a torch.Tensor of shape {expected}."
         )
+    kinds = {"sparse": mask.layout != torch.strided, "nested": mask.is_nested, "meta": mask.is_meta,
+             "quantised": mask.is_quantized}  # fmt: skip
+    kind = next((kind for kind, is_it in kinds.items() if is_it), None)
+    if kind is not None:
+        raise InputError(f"explainer {name!r} returned a {kind} tensor: return a dense one with its values.")
     if tuple(mask.shape) != expected:
         raise InputError(
             f"explainer {name!r} returned a mask of shape {tuple(mask.shape)}: return shape {expected}."
         )
-    if not mask.is_floating_point():
+    if mask.dtype not in FLOATS:
         raise InputError(
-            f"explainer {name!r} returned a mask of {mask.dtype}: return floating-point numbers."
+            f"explainer {name!r} returned a mask of {mask.dtype}: return floating-point numbers of at least "
+            f"16 bits."
         )
     return mask.detach()
 

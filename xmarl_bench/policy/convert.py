@@ -15,6 +15,9 @@ from __future__ import annotations
 
 import io
 import pickle
+import pickletools
+import re
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -36,9 +39,16 @@ from xmarl_bench.records.strict_json import first_error, parse_json, shown
 
 MAX_BYTES = 512 * 1024 * 1024  # of a whole checkpoint, with critic and optimiser
 MAX_PICKLE = 4 * 1024 * 1024  # of the list of tensors, without their values
+ALLOCATES = re.compile(r"\S+ (bytearray|\w*Tensor|UntypedStorage|TypedStorage|_rebuild_wrapper_subclass)")
+MAX_VISITS, MAX_DEPTH, MAX_NAME = 100_000, 32, 1000  # of a file's nested dicts
 SB3_WEIGHTS, SB3_DATA = "policy.pth", "data"
 SB3_KEYS: Final[Mapping[str, str | None]] = {"actor.": "", "critic.": None}
 
+# What zipfile and safetensors raise for damaged files.
+UNREADABLE = (
+    zipfile.BadZipFile, SafetensorError, zlib.error, EOFError, RuntimeError, ValueError, OverflowError,
+    struct.error, OSError,
+)  # fmt: skip
 KeyMap = Mapping[str, str | None]
 Record = Architecture | LayeredArchitecture
 _RECORD: TypeAdapter[Record] = TypeAdapter(BundledArchitecture)
@@ -54,8 +64,10 @@ def read_tensors(path: Path) -> dict[str, Tensor]:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if SB3_WEIGHTS in archive.namelist():
                 data = _member(archive, SB3_WEIGHTS, MAX_BYTES)
-        return dict(_flat(_torch_load(data, path)))
-    except (zipfile.BadZipFile, NotImplementedError, SafetensorError, zlib.error, EOFError) as error:
+        return dict(_flat(_torch_load(data, path), path))
+    except InputError:
+        raise
+    except UNREADABLE as error:
         raise InputError(
             f"{path} is neither safetensors nor a file of torch.save or stable-baselines3 ({shown(error)}): "
             f"give a file in one of these formats."
@@ -212,6 +224,10 @@ def _torch_load(data: bytes, path: Path) -> Any:
     if not stored or not small:
         raise InputError(f"{path} is not a file of torch.save: save the state dict again.")
     try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for member in members:
+                if member.filename.endswith("data.pkl"):
+                    _check_pickle(archive.read(member), path)
         return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except (
         pickle.UnpicklingError,
@@ -228,12 +244,39 @@ def _torch_load(data: bytes, path: Path) -> Any:
         ) from None
 
 
-def _flat(value: Any, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
-    if isinstance(value, Tensor):
-        yield prefix, value
-    elif isinstance(value, Mapping):
-        for key, each in value.items():
-            yield from _flat(each, f"{prefix}.{key}" if prefix else str(key))
+def _check_pickle(data: bytes, path: Path) -> None:
+    """Raise InputError if the pickle names a class that makes memory of any size from a number.
+
+    torch's reader allows them. It knows GLOBAL alone of the opcodes that name something.
+    """
+    for code, argument, _ in pickletools.genops(data):
+        if code.name == "GLOBAL" and ALLOCATES.fullmatch(str(argument)):
+            raise InputError(
+                f"{path} holds more than tensors and plain containers ({shown(argument)}): save the state "
+                f"dict alone."
+            )
+
+
+def _flat(value: Any, path: Path) -> Iterator[tuple[str, Tensor]]:
+    """Tensors by name. Raises InputError for dicts nested too deep, or that hold themselves or too much."""
+    visits, waiting = 0, [("", value, 0)]
+    while waiting:
+        prefix, each, depth = waiting.pop()
+        visits += 1
+        if visits > MAX_VISITS or depth > MAX_DEPTH or len(prefix) > MAX_NAME:
+            raise InputError(
+                f"{path} holds more than {MAX_VISITS} values, {MAX_DEPTH} levels, or names of {MAX_NAME} "
+                f"characters: save the state dict alone."
+            )
+        if isinstance(each, Tensor):
+            yield prefix, each
+        elif isinstance(each, Mapping):
+            if len(each) > MAX_VISITS:
+                raise InputError(f"{path} holds more than {MAX_VISITS} values: save the state dict alone.")
+            inner = [
+                (f"{prefix}.{key}" if prefix else str(key), held, depth + 1) for key, held in each.items()
+            ]
+            waiting += reversed(inner)
 
 
 def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:

@@ -46,7 +46,8 @@ def read_file(path: Path, max_bytes: int) -> bytes:
         os.close(handle)
         raise InputError(f"{path} is not a regular file: give the folder of a policy.")
     with os.fdopen(handle, "rb") as file:
-        data = file.read(max_bytes + 1)
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(min(size, max_bytes) + 1)  # reading takes as much memory as it is asked for
     if len(data) > max_bytes:
         raise InputError(f"{path} is larger than the limit of {max_bytes} bytes: give a smaller file.")
     return data

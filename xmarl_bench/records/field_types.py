@@ -37,6 +37,17 @@ def _not_reserved(name: str) -> str:
 
 
 Name = Annotated[str, Field(pattern=f"^{NAME.pattern}$"), AfterValidator(_not_reserved)]
+
+
+def _one_line(name: str) -> str:
+    if not name.isprintable() or name[:1] in ("=", "+", "-", "@"):
+        raise ValueError("is not a name in one line of printable characters that begins without = + - @")
+    return name
+
+
+# The name of a person or group, as the board shows it.
+Person = Annotated[str, Field(max_length=10_000), AfterValidator(_one_line)]
+Link = Annotated[str, Field(max_length=2000, pattern=r"^https?://[!-~]+$")]
 Text = Annotated[str, Field(max_length=10_000)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Agents = Annotated[int, Field(ge=1, le=1024)]

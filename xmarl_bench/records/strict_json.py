@@ -62,6 +62,15 @@ def shown(value: object, length: int = 80) -> str:
     return line if len(line) <= length else line[: length - 4] + "..." + line[-1]
 
 
+def printable(name: object) -> str:
+    """A file's name for a terminal or log: quoted and escaped if it could be more than text there.
+
+    GitHub's runner takes a line of output that begins with `::` or holds `##[` as a command.
+    """
+    text = str(name)
+    return text if text.isprintable() and "::" not in text and "##[" not in text else shown(text, 300)
+
+
 def first_error(error: ValidationError) -> tuple[str, str]:
     """Message and place of pydantic's first error. Place: names joined by dots, empty for the whole value.
 

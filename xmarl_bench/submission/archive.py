@@ -20,7 +20,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS
 from xmarl_bench.records.field_types import RESERVED
 from xmarl_bench.records.strict_json import MAX_BYTES as MAX_JSON
-from xmarl_bench.records.strict_json import shown
+from xmarl_bench.records.strict_json import printable, shown
 
 MANIFEST: Final = "manifest.json"
 _NAME = r"[a-z0-9][a-z0-9._-]{0,99}"
@@ -133,7 +133,7 @@ def _zip(path: Path) -> Iterator[tuple[str, bytes]]:
         struct.error,
         zlib.error,
     ) as e:
-        raise InputError(f"{path} is not a readable zip ({shown(e)}): pack it again.") from None
+        raise InputError(f"{printable(path)} is not a readable zip ({shown(e)}): pack it again.") from None
 
 
 def _check_directory(data: bytes) -> None:

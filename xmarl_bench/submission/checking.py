@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from xmarl_bench.counted import counted
-from xmarl_bench.entry.file import folder_of_entries, parse_entry
+from xmarl_bench.entry.file import entry_files, folder_of_entries, parse_entry
+from xmarl_bench.entry.partial import partial_reason
 from xmarl_bench.entry.schema import Entry, PolicyRecord, Verification
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.bundle import PolicyCard, Weights, build, parse_card, parse_weights
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
-from xmarl_bench.records.strict_json import MAX_BYTES, first_error, parse_json, shown
+from xmarl_bench.records.strict_json import MAX_BYTES, first_error, parse_json, printable, shown
 from xmarl_bench.submission.archive import MANIFEST, kind_of, read_files
 from xmarl_bench.submission.consistency import entry_findings
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
@@ -39,6 +40,7 @@ class Checked:
     policies: dict[str, tuple[bytes, bytes]] = field(default_factory=dict)  # by name: card, weights
     recomputed: dict[str, list[Difference]] = field(default_factory=dict)  # by file name, of valid entries
     findings: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)  # sentences about what is valid but not as usual
 
     @property
     def is_bundle(self) -> bool:
@@ -80,20 +82,31 @@ def check(path: Path) -> Checked:
         if checked.is_bundle:
             _check_bundle(checked)
         elif path.is_dir():
-            names = sorted(folder_of_entries(path).glob("*.json"))
+            names, strays = entry_files(folder_of_entries(path))
+            checked.remarks += [
+                f"{printable(each.name)} is not an entry, and was left out." for each in strays
+            ]
             if not names:
                 raise InputError(
-                    f"{path} holds no entries (*.json) and no {MANIFEST}: give a folder of entries, or a "
-                    f"bundle."
+                    f"{printable(path)} holds no entries (*.json) and no {MANIFEST}: give a folder of "
+                    f"entries, or a bundle."
                 )
             for name in names:
-                _check_entry(checked, name.name, _read(name), name.parent)
+                entry = _check_entry(checked, name.name, _read(name), name.parent)
+                if entry is not None:
+                    _add(checked, name.name, _name_findings(entry, name.name, checked))
         else:
             _check_entry(checked, path.name, _read(path), path.parent)
     except OSError as error:
         raise InputError(
-            f"{path} cannot be read ({error.strerror}): give an entry, a bundle or a folder of entries."
+            f"{printable(path)} cannot be read ({error.strerror}): give an entry, a bundle or a folder of "
+            f"entries."
         ) from None
+    for file, entry in checked.entries.items():
+        for cell in entry.results:
+            why = partial_reason(entry.protocol, cell)
+            if why is not None:
+                checked.remarks.append(f"{printable(file)}: a partial score ({why}): valid, but not ranked.")
     if not checked.findings:  # the most expensive checks come last, and need valid rows
         for file, entry in checked.entries.items():
             checked.recomputed[file] = list(recomputed(entry))
@@ -105,13 +118,14 @@ def check(path: Path) -> Checked:
 
 def _read(path: Path) -> bytes:
     if not path.is_file():
-        raise InputError(f"{path} does not exist: give an entry, a bundle or a folder of entries.")
+        raise InputError(f"{printable(path)} does not exist: give an entry, a bundle or a folder of entries.")
     with path.open("rb") as file:
         return file.read(MAX_BYTES + 1)
 
 
 def _add(checked: Checked, file: str, findings: Iterator[str]) -> None:
     listed = list(findings)
+    file = printable(file)
     checked.findings += [f"{file}: {each}" for each in listed[:MAX_FINDINGS]]
     if len(listed) > MAX_FINDINGS:
         checked.findings.append(f"{file}: and {counted(len(listed) - MAX_FINDINGS, 'more finding')}.")
@@ -122,7 +136,7 @@ def _check_entry(checked: Checked, file: str, data: bytes, folder: Path | None =
     try:
         entry = parse_entry(data, folder)
     except ValueError as error:
-        checked.findings.append(f"{file}: it {error}.")
+        checked.findings.append(f"{printable(file)}: it {error}.")
         return None
     checked.entries[file] = entry
     _add(checked, file, entry_findings(entry))
@@ -135,7 +149,7 @@ def _check_bundle(checked: Checked) -> None:
     except ValueError as error:
         if isinstance(error, InputError):
             raise
-        checked.findings.append(f"{checked.path.name}: {error}")
+        checked.findings.append(f"{printable(checked.path.name)}: {error}")
         return
     _add(checked, MANIFEST, _manifest_findings(files))
     if "LICENSE" not in files:
@@ -205,9 +219,16 @@ def _record_findings(entry: Entry, file: str, card: PolicyCard) -> Iterator[str]
             yield f"its {key} disagrees with policy.{key} of {file}."
 
 
-def _submission_findings(entry: Entry, name: str, files: dict[str, bytes], checked: Checked) -> Iterator[str]:
-    if name != f"entries/{entry.file_name}":
+def _name_findings(entry: Entry, name: str, checked: Checked) -> Iterator[str]:
+    if name.rpartition("/")[2] != entry.file_name:
         yield f"its name should be {entry.file_name}."
+    for file, other in checked.entries.items():
+        if file != name and other.entry_id == entry.entry_id:
+            yield f"it is the same entry as {shown(file)}: give each entry once."
+
+
+def _submission_findings(entry: Entry, name: str, files: dict[str, bytes], checked: Checked) -> Iterator[str]:
+    yield from _name_findings(entry, name, checked)
     if entry.verification != Verification():
         yield "verification is written by the maintainers: leave it out."
     rows = files.get(f"rows/{entry.file_name.removesuffix('.json')}.csv")

@@ -12,7 +12,8 @@ from pydantic import Field
 
 from xmarl_bench.entry.schema import Entry, EpisodeRow, Record
 from xmarl_bench.metrics.table import OPTIONAL
-from xmarl_bench.records.field_types import Count, Sha256, Text
+from xmarl_bench.records.csv_cells import csv_cell
+from xmarl_bench.records.field_types import Count, Person, Sha256, Text
 
 BUNDLE_VERSION: Final = 1
 ROW_COLUMNS = tuple(name for name in EpisodeRow.model_fields if not name.endswith("budget"))
@@ -27,7 +28,7 @@ class Manifest(Record):
     """Lists every file of the bundle but the manifest. `leaderboard/manifest.schema.json` is this class."""
 
     bundle_version: Literal[1] = BUNDLE_VERSION
-    submitter: Annotated[str, Field(min_length=1, max_length=200)]
+    submitter: Annotated[Person, Field(min_length=1, max_length=200)]
     contact: Text | None = None  # address for questions
     harness_version: Text
     files: Annotated[dict[str, FileRecord], Field(max_length=1000)]
@@ -56,5 +57,7 @@ def rows_csv(entry: Entry) -> bytes:
     writer.writerow(["task", "n_agents", *columns])
     for cell, row in episodes:
         values = [getattr(row, name) for name in columns]
-        writer.writerow([cell.task, cell.n_agents, *("" if each is None else each for each in values)])
+        writer.writerow(
+            [csv_cell(cell.task), cell.n_agents, *("" if each is None else each for each in values)]
+        )
     return text.getvalue().encode()

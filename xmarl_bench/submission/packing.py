@@ -21,9 +21,16 @@ from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time in a zip; fixed, so that equal files give equal bytes
 
 
-def as_submitted(entry: Entry, submitter: str, code: str | None, variants_tried: int | None = None) -> Entry:
-    """The entry with submitter, code URL and variants tried filled in, which are part of its id."""
-    explainer = entry.explainer if code is None else entry.explainer.model_copy(update={"code": code})
+def as_submitted(
+    entry: Entry,
+    submitter: str,
+    code: str | None,
+    variants_tried: int | None = None,
+    paper: str | None = None,
+) -> Entry:
+    """The entry with submitter, links and variants tried filled in, which are part of its id."""
+    links = {name: link for name, link in (("code", code), ("paper", paper)) if link is not None}
+    explainer = entry.explainer.model_copy(update=links)
     changed = entry.model_copy(
         update={
             "submitter": submitter,

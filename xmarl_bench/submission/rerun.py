@@ -33,7 +33,7 @@ from xmarl_bench.submission.consistency import lacks
 from xmarl_bench.submission.recompute import Difference, summaries
 
 # Fields of an explainer's record that may differ: they tell where it was found, not what it is.
-WHERE = ("seed", "code", "distribution", "version", "entry_point", "code_sha256")
+WHERE = ("seed", "code", "paper", "distribution", "version", "entry_point", "code_sha256")
 
 
 @dataclass

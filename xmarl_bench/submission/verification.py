@@ -29,7 +29,7 @@ from xmarl_bench.origin.references import Origin
 from xmarl_bench.plugins.names import EXPLAINERS, find_policy
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
-from xmarl_bench.records.strict_json import shown
+from xmarl_bench.records.strict_json import printable, shown
 from xmarl_bench.reproducible import fresh_seeds
 from xmarl_bench.scoring.score import explainer_record
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
@@ -272,19 +272,17 @@ def is_ours(name: str) -> bool:
 
 def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
     """Lines to print: one per finding, or one that tells how the entry passed."""
+    where = f"{printable(path)}: {printable(file)}"
     for finding in verdict.findings:
-        yield f"{path}: {file}: {finding}"
+        yield f"{where}: {finding}"
     if verdict.fresh is not None:
-        yield from (f"{path}: {file}: {each}" for each in _fresh_lines(verdict.entry, verdict.fresh))
+        yield from (f"{where}: {each}" for each in _fresh_lines(verdict.entry, verdict.fresh))
     elif not verdict.findings:
         how = "bit for bit" if verdict.bitwise else "within the tolerance of another platform"
         again = (
             f", {counted(verdict.episodes, 'episode')} again" if verdict.tier is not Tier.recompute else ""
         )
-        yield (
-            f"{path}: {file}: {STATUS[verdict.tier]}{again}, {how}, "
-            f"largest difference {verdict.max_abs_diff}."
-        )
+        yield (f"{where}: {STATUS[verdict.tier]}{again}, {how}, largest difference {verdict.max_abs_diff}.")
 
 
 def _fresh_lines(entry: Entry, fresh: Fresh) -> Iterator[str]:

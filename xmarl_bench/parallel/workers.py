@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 from xmarl_bench.errors import InputError
 
+MOST_PER_CORE = 16  # processes of this machine; more only take memory
 BackendName = Literal["loky", "ray", "dask"]
 
 
@@ -22,6 +24,12 @@ class Workers:
         if self.jobs is not None and self.jobs < 1:
             raise InputError(
                 f"jobs must be at least 1, got {self.jobs}: give the number of processes to use."
+            )
+        most = MOST_PER_CORE * (os.cpu_count() or 1)
+        if self.backend == "loky" and self.jobs is not None and self.jobs > most:
+            raise InputError(
+                f"jobs must be at most {most} here, {MOST_PER_CORE} for each core, got {self.jobs}: give the "
+                f"number of processes to use."
             )
         if self.backend not in get_args(BackendName):
             raise InputError(

@@ -263,6 +263,7 @@ def _read(pipe: int, otherwise: str) -> bytes:
     ("arguments", "said"),
     [
         ((0,), "jobs must be at least 1, got 0"),
+        ((100_000,), "jobs must be at most .*, 16 for each core, got 100000"),
         ((2, "threads"), "unknown backend 'threads': choose one of loky, ray, dask"),
         ((2, "loky", "10.0.0.1:8786"), "address 10.0.0.1:8786 has no effect with the backend loky"),
     ],

@@ -40,6 +40,18 @@ def test_the_workflow_has_only_read_permission() -> None:
     assert all("${{" not in re.split(r"\n {6}- ", run)[0] for run in runs)  # nothing is pasted into a shell
 
 
+@pytest.mark.parametrize("path", sorted(WORKFLOW.parent.glob("*.yml")), ids=lambda path: path.stem)
+def test_actions_are_pinned_and_checkouts_keep_no_credentials(path: Path) -> None:
+    text = path.read_text()
+    used = re.findall(r"uses: (\S+)", text)
+    assert used
+    for action in used:
+        assert re.fullmatch(r"[\w/-]+@[0-9a-f]{40}", action), f"{action} is not pinned by a commit"
+    checkouts = re.findall(r"uses: actions/checkout@.*\n((?: +(?:with|[a-z-]+):.*\n)+)", text)
+    assert len(checkouts) == sum(action.startswith("actions/checkout@") for action in used)
+    assert all("persist-credentials: false" in each for each in checkouts)
+
+
 @pytest.mark.slow
 def test_bundles_of_a_pull_request_are_found(tmp_path: Path, files: Mapping[str, bytes]) -> None:
     base, head = tmp_path / "base", tmp_path / "head"

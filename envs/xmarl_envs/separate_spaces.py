@@ -21,7 +21,6 @@ from xmarl_envs.task import Bools, Floats, Task
 # Below so many episodes their Spaces are as fast as arithmetic on arrays. Of larger teams nearly every one
 # has a contact, and checking all its pairs costs more than its Space.
 FEWEST_FLYING, LARGEST_FLYING_TEAM = 4, 8
-FIRST_STEPS = 64  # steps that the record of forces holds at first; it grows twofold
 
 
 class SeparateSpaces:
@@ -36,9 +35,9 @@ class SeparateSpaces:
         self._spaces: list[SlottedSpace | None] = [None] * n_episodes
         self._agents: Floats = np.zeros((n_episodes, task.n_agents, 4))  # position and velocity at `place`
         self._walls: Floats = np.zeros((n_episodes, task.n_walls, 2))
-        self._forces: Floats = np.zeros((n_episodes, FIRST_STEPS, task.n_agents, 2))  # since `place`
-        self._steps: NDArray[np.intp] = np.zeros(n_episodes, dtype=np.intp)  # since `place`
-        self._caught_up: NDArray[np.intp] = np.zeros(n_episodes, dtype=np.intp)  # of these, by the Space
+        self._forces = [bytearray() for _ in range(n_episodes)]  # (steps, N, 2) float64 since `place`
+        self._caught_up = [0] * n_episodes  # bytes of these that the episode's Space has taken
+        self._stale = [True] * n_episodes  # the Space is of an earlier episode
         self._placed: Bools = np.zeros(n_episodes, dtype=np.bool_)
         self._touched: Bools = np.zeros(n_episodes, dtype=np.bool_)  # in the last step
         self._pairs = np.triu_indices(task.n_agents, k=1)
@@ -51,7 +50,10 @@ class SeparateSpaces:
         self._agents[episodes, :, :2] = agents
         self._agents[episodes, :, 2:] = velocity
         self._walls[episodes] = walls
-        self._steps[episodes] = self._caught_up[episodes] = 0
+        for episode in episodes.tolist():
+            self._forces[episode].clear()
+            self._caught_up[episode] = 0
+            self._stale[episode] = True
         self._placed[episodes] = True
         self._touched[episodes] = False
 
@@ -61,7 +63,6 @@ class SeparateSpaces:
         """Advance position and velocity (B, N, 2), in place, under force (B, N, 2)."""
         going = self._placed if live is None else self._placed & live
         (which,) = going.nonzero()
-        self._record(which, force)
         if (
             which.size < FEWEST_FLYING
             or self._task.n_agents > LARGEST_FLYING_TEAM
@@ -69,46 +70,47 @@ class SeparateSpaces:
         ):
             for k in which.tolist():
                 space = self._space_of(k)
+                space.step(force[k])
+                self._forces[k] += force[k].tobytes()
+                self._caught_up[k] = len(self._forces[k])
                 position[k], velocity[k] = space.position, space.velocity
             self._touched[which] = True
             return
+        for k in which.tolist():
+            self._forces[k] += force[k].tobytes()
         path, end_velocity = fly(position[which], velocity[which], force[which])
         flown = path[-1]
         touches = touching(self._task, path, walls[which], self._pairs)
         for row in (touches | self._touched[which]).nonzero()[0].tolist():
             space = self._space_of(int(which[row]))
             # An overlap correction left from the last step moves what touches nothing in this one.
-            touches[row] |= (space.position != flown[row]).any() or (
-                space.velocity != end_velocity[row]
-            ).any()
+            moved = (space.position != flown[row]).any() or (space.velocity != end_velocity[row]).any()
+            touches[row] |= moved
             flown[row], end_velocity[row] = space.position, space.velocity
         position[which], velocity[which], self._touched[which] = flown, end_velocity, touches
 
-    def _record(self, which: NDArray[np.intp], force: Floats) -> None:
-        if which.size and self._steps[which].max() == self._forces.shape[1]:
-            self._forces = np.concatenate([self._forces, np.zeros_like(self._forces)], axis=1)
-        self._forces[which, self._steps[which]] = force[which]
-        self._steps[which] += 1
-
     def _space_of(self, k: int) -> SlottedSpace:
-        """The Space of episode k after all its steps."""
-        space, done = self._spaces[k], self._caught_up[k]
-        if space is None:
-            self._spaces[k] = space = SlottedSpace(self._task)
-        elif done == 0:
-            space.renew()
-        if done == 0:
+        """The Space of episode k after all steps whose forces are recorded."""
+        space, done, forces = self._spaces[k], self._caught_up[k], self._forces[k]
+        if space is None or self._stale[k]:
+            if space is None:
+                self._spaces[k] = space = SlottedSpace(self._task)
+            else:
+                space.renew()
             space.agents[0] = self._agents[k]
             space.walls[0, :, :2] = self._walls[k]
             space.write()
-        for force in self._forces[k, done : self._steps[k]]:
-            space.advance(force)
-        space.read()
-        self._caught_up[k] = self._steps[k]
+            self._stale[k] = False
+        if done < len(forces):
+            for force in np.frombuffer(bytes(forces[done:])).reshape(-1, self._task.n_agents, 2):
+                space.advance(force)
+            space.read()
+            self._caught_up[k] = len(forces)
         return space
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_spaces": [None] * len(self._spaces), "_caught_up": self._caught_up * 0}
+        n_episodes = len(self._spaces)
+        return {**self.__dict__, "_spaces": [None] * n_episodes, "_caught_up": [0] * n_episodes}
 
 
 @cache

@@ -50,6 +50,6 @@ def test_free_flight_builds_no_space(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(separate_spaces, "SlottedSpace", None)  # building one would fail
     env = VectorEnv(make_task("blind_navigation_v0", 1), 8)
     env.reset(range(8))
-    for _ in range(70):  # more than the record of forces holds at first
+    for _ in range(70):
         env.step(np.full((8, 1, 2), 0.5))
     assert (env.state.velocity > 0.1).all()

@@ -15,7 +15,7 @@ from typing import Any
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.meta.planted_suite import by_family, score_planted
 
-PAPER = re.compile(r"Paper(?: and formula)?: (.*?)(?:\. Formula\b|\n\n|\Z)", re.DOTALL)
+PAPER = re.compile(r"Paper(?: and formula)?: (.*?)(?:\.\s+Formula\b|(?<=\))\.\s|\n\n|\Z)", re.DOTALL)
 
 
 def cards_of(explainers: Sequence[Explainer], **planted: Any) -> dict[str, dict[str, Any]]:

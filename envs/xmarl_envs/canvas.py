@@ -12,7 +12,8 @@ from xmarl_envs.colours import GRID, INK, PAPER, Colour
 from xmarl_envs.task import Floats
 
 SIZE = 640  # pixels, width of a picture and height of its world
-HEADER = 64  # pixels above the world; video codecs need both to be multiples of 16
+HEADER = 64  # pixels above the world, of two lines; video codecs need both to be multiples of 16
+LINE = 32  # pixels of a line of the header
 OVERSAMPLING = 2
 GRID_SPACING = 0.5  # m
 
@@ -30,7 +31,6 @@ class Canvas:
         self._size, self._header = size, header
         pixels = (OVERSAMPLING * size, OVERSAMPLING * (size + header))
         self._surface = pygame.Surface(pixels)
-        self._overlay = pygame.Surface(pixels, pygame.SRCALPHA)
         self._fonts: dict[int, pygame.font.Font] = {}
 
     def clear(self) -> None:
@@ -66,13 +66,10 @@ class Canvas:
     def disc(self, centre: Floats, radius: float, colour: Colour) -> None:
         pygame.draw.circle(self._surface, colour, self._at(centre), self._length(radius))
 
-    def ring(self, centre: Floats, radius: float, colour: Colour, width: float, opacity: float = 1.0) -> None:
+    def ring(self, centre: Floats, radius: float, colour: Colour, width: float) -> None:
         """Draw a circle whose line lies inside the radius."""
         line = max(1, round(OVERSAMPLING * width))
-        surface = self._surface if opacity == 1.0 else self._overlay
-        pygame.draw.circle(
-            surface, (*colour, round(255 * opacity)), self._at(centre), self._length(radius), line
-        )
+        pygame.draw.circle(self._surface, colour, self._at(centre), self._length(radius), line)
 
     def line(self, points: Floats, colour: Colour, width: float) -> None:
         """Draw a line through points (P, 2)."""
@@ -84,15 +81,13 @@ class Canvas:
             max(1, round(OVERSAMPLING * width)),
         )
 
-    def polygon(self, points: Floats, colour: Colour, opacity: float = 1.0) -> None:
-        """Fill the polygon of points (P, 2). `blend` puts translucent shapes above all others."""
-        surface = self._surface if opacity == 1.0 else self._overlay
-        pygame.draw.polygon(surface, (*colour, round(255 * opacity)), [self._at(p) for p in points])
+    def polygon(self, points: Floats, colour: Colour) -> None:
+        """Fill the polygon of points (P, 2)."""
+        pygame.draw.polygon(self._surface, colour, [self._at(p) for p in points])
 
-    def blend(self) -> None:
-        """Lay the translucent shapes drawn so far over the picture."""
-        self._surface.blit(self._overlay, (0, 0))
-        self._overlay.fill((0, 0, 0, 0))
+    def edge(self, points: Floats, colour: Colour) -> None:
+        """Draw the outline of the polygon of points (P, 2), one pixel wide."""
+        pygame.draw.lines(self._surface, colour, True, [self._at(p) for p in points], OVERSAMPLING)
 
     def box(self, centre: Floats, size: Sequence[float], colour: Colour) -> None:
         half = np.array(size) / 2
@@ -120,9 +115,14 @@ class Canvas:
         image = self._font(size).render(text, True, colour)
         self._surface.blit(image, image.get_rect(center=self._at(centre)))
 
+    def text(self, left: Floats, text: str, size: float, colour: Colour) -> None:
+        """Write text that begins at `left`, its middle."""
+        image = self._font(size).render(text, True, colour)
+        self._surface.blit(image, image.get_rect(midleft=self._at(left)))
+
     def header(self, line: int, text: str, size: float) -> None:
-        """Write text into line 0 or 1 above the world, shrunk to fit."""
-        margin, middle = 12 * OVERSAMPLING, round((0.28 + 0.44 * line) * self._header * OVERSAMPLING)
+        """Write text into a line above the world, counted from 0, shrunk to fit."""
+        margin, middle = 12 * OVERSAMPLING, round((18 + 28 * line) * OVERSAMPLING)
         room = OVERSAMPLING * self._size - 2 * margin
         size *= min(1.0, room / self._font(size).size(text)[0])
         image = self._font(size).render(text, True, INK)

@@ -8,7 +8,7 @@ import numpy as np
 import pygame
 from numpy.typing import ArrayLike, NDArray
 
-from xmarl_envs.canvas import Canvas
+from xmarl_envs.canvas import HEADER, LINE, Canvas
 from xmarl_envs.colours import FAINT, INK, NEAR, PAPER, WALL, mix
 from xmarl_envs.scene import Drawable, Scene
 from xmarl_envs.task import Floats
@@ -31,12 +31,16 @@ class Renderer:
         window: show pictures in a window at `FPS`, instead of returning them.
         reach: m from the origin that every picture shows at least. By default a picture grows when the team
             leaves it.
+        key: every picture has a third line above, which says what arrows and rings mean.
     """
 
-    def __init__(self, task: Drawable, window: bool = False, reach: float = 0.0) -> None:
-        self._task = task
+    def __init__(
+        self, task: Drawable, window: bool = False, reach: float = 0.0, *, key: bool = False
+    ) -> None:
+        self._task, self._key = task, key
         self._team = TeamPainter(task)
-        self._canvas = Canvas(1.06 * (task.bound or task.spawn_half_width) + task.radius)
+        header = HEADER + LINE * key
+        self._canvas = Canvas(1.06 * (task.bound or task.spawn_half_width) + task.radius, header=header)
         self._usual, self._reach = self._canvas.half_width, reach
         self._lens = Canvas(1.0, LENS, header=0)
         self._window = window
@@ -44,10 +48,10 @@ class Renderer:
         self._clock = pygame.time.Clock()
 
     def draw(self, scene: Scene, mask: ArrayLike | None = None, title: str = "") -> NDArray[np.uint8] | None:
-        """(HEADER + SIZE, SIZE, 3) uint8, or None when it went to the window.
+        """(HEADER + SIZE, SIZE, 3) uint8, LINE rows more with a key, or None when it went to the window.
 
-        mask: (N, N) in [0, 1]; `mask[i, j]` becomes an arrow from j to i, wider and darker the larger it is,
-        and `mask[i, i]` a ring around i. title: replaces task and team size in the header.
+        mask: (N, N) in [0, 1]; `mask[i, j]` becomes an arrow from j to i in j's colour, wider and darker the
+        larger it is, and `mask[i, i]` a ring around i. title: replaces task and team size in the header.
         Raises ValueError if the mask has another shape or values outside [0, 1].
         """
         values = None if mask is None else self._checked(mask)
@@ -95,8 +99,9 @@ class Renderer:
         plural = "s" if task.n_agents > 1 else ""
         canvas.header(0, title or f"{task.name}, {task.n_agents} agent{plural}", 22)
         canvas.header(1, _status(scene), 22)
+        if self._key:
+            self._team.draw_key(canvas)
         if mask is not None:
-            self._team.draw_legend(canvas)
             self._draw_lens(scene, mask)
         return canvas.picture()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from xmarl_envs.canvas import Canvas
-from xmarl_envs.colours import INK, Colour, agent_colours, readable_on
+from xmarl_envs.colours import INK, PAPER, Colour, agent_colours, mix, readable_on
 from xmarl_envs.scene import Drawable
 from xmarl_envs.task import Bools, Floats
 
@@ -27,7 +27,6 @@ class TeamPainter:
         """position: (N, 2) m; mask: (N, N) in [0, 1], drawn below the discs."""
         if mask is not None:
             self._draw_mask(canvas, position, mask)
-            canvas.blend()
         for centre in position[collided]:
             self._draw_star(canvas, centre)
         for i, centre in enumerate(position):
@@ -42,16 +41,21 @@ class TeamPainter:
         else:  # on the disc it would hide it
             canvas.label(centre + canvas.metres(radius + 4), str(agent), 13, INK)
 
-    def draw_legend(self, canvas: Canvas) -> None:
-        """Draw arrows of three mask values at the right of the header's second line."""
+    def draw_key(self, canvas: Canvas) -> None:
+        """Say in the header's third line what arrows and rings mean, with arrows of three mask values."""
         pixel = canvas.metres(1)
-        y = canvas.half_width + 18 * pixel
+        y = canvas.half_width + 16 * pixel
+
+        def at(x: float, above: float = 0.0) -> Floats:
+            return np.array([x * pixel - canvas.half_width, y + above * pixel])
+
+        canvas.text(at(12), "arrow: message, sender's colour; thickness = weight", 18, INK)
         for k, value in enumerate(LEGEND):
-            x = canvas.half_width - (210 - 74 * k) * pixel
-            on = y + self._head(canvas, value) * pixel  # arrows are offset from their line
-            self._draw_arrow(canvas, np.array([x, on]), np.array([x + 30 * pixel, on]), value, 0.0)
-            canvas.label(np.array([x + 46 * pixel, y]), f"{value:g}", 20, INK)
-        canvas.blend()
+            on = self._head(canvas, value)  # arrows are offset from their line
+            self._draw_arrow(canvas, at(346 + 58 * k, on), at(374 + 58 * k, on), 0, value, 0.0)
+            canvas.text(at(378 + 58 * k), f"{value:g}", 18, INK)
+        self._draw_ring(canvas, at(532), 0, 0.5, 4 * pixel)
+        canvas.text(at(548), "own message", 18, INK)
 
     def _draw_star(self, canvas: Canvas, centre: Floats) -> None:
         """Draw spikes around a colliding agent: a shape, because not everybody can see red."""
@@ -67,14 +71,21 @@ class TeamPainter:
             if value < FAINTEST:
                 continue
             if receiver == sender:
-                width = self._width(canvas, value)
-                radius = self._radius + canvas.metres(2 + width)
-                canvas.ring(position[receiver], radius, INK, width, _opacity(value))
+                self._draw_ring(canvas, position[receiver], receiver, value, self._radius)
             else:
-                self._draw_arrow(canvas, position[sender], position[receiver], value, self._radius)
+                self._draw_arrow(canvas, position[sender], position[receiver], sender, value, self._radius)
 
-    def _draw_arrow(self, canvas: Canvas, start: Floats, end: Floats, value: float, gap: float) -> None:
-        """Draw an arrow from disc to disc, beside the opposite arrow."""
+    def _draw_ring(self, canvas: Canvas, centre: Floats, agent: int, value: float, inner: float) -> None:
+        """Draw a ring around `inner` m, with a dark edge outside."""
+        width = self._width(canvas, value)
+        radius = inner + canvas.metres(3 + width)
+        canvas.ring(centre, radius, _tint(mix(self.colours[agent], INK, 0.7), value), width)
+        canvas.ring(centre, radius - canvas.metres(1), _tint(self.colours[agent], value), max(1.0, width - 1))
+
+    def _draw_arrow(
+        self, canvas: Canvas, start: Floats, end: Floats, sender: int, value: float, gap: float
+    ) -> None:
+        """Draw an arrow from disc to disc in the sender's colour, with a dark edge, beside its opposite."""
         length = float(np.hypot(*(end - start)))
         if length == 0.0:
             return
@@ -90,7 +101,8 @@ class TeamPainter:
             start - half * aside, neck - half * aside, neck - head * aside, end,
             neck + head * aside, neck + half * aside, start + half * aside,
         ]  # fmt: skip
-        canvas.polygon(np.array(outline), INK, _opacity(value))
+        canvas.polygon(np.array(outline), _tint(self.colours[sender], value))
+        canvas.edge(np.array(outline), _tint(mix(self.colours[sender], INK, 0.7), value))
 
     def _width(self, canvas: Canvas, value: float) -> float:
         """Width in pixels of an arrow or ring: smaller in large teams, at most about an agent's radius."""
@@ -102,6 +114,6 @@ class TeamPainter:
         return self._width(canvas, value) / 2 + 5
 
 
-def _opacity(value: float) -> float:
-    """The square root of the value, so that the small attention values of a large team stay visible."""
-    return min(float(np.sqrt(value)), 0.999)  # opaque shapes would lie below translucent ones
+def _tint(colour: Colour, value: float) -> Colour:
+    """Pale for small values, by their square root: small weights in a large team stay visible."""
+    return mix(PAPER, colour, float(np.sqrt(value)))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pygame
 import pytest
 from numpy.typing import NDArray
 from xmarl_envs import TASKS, State, Task, TaskParallelEnv, make_task
-from xmarl_envs.canvas import HEADER, SIZE
+from xmarl_envs.canvas import HEADER, LINE, SIZE
 from xmarl_envs.colours import FAINT, INK, NEAR, PAPER, WALL, Colour, agent_colours
 from xmarl_envs.render import Renderer
 from xmarl_envs.scene import Scene, Track
@@ -244,10 +245,27 @@ def test_an_explanation_is_arrows_from_sender_to_receiver() -> None:
         disc = 0.5 * SIZE / 2 / 1.16  # from the middle of the picture to the surface of the receiver
         assert disc - 25 < side * tip < disc
         assert abs(rows.mean() - SIZE / 2) < 12
-    # Each on its own side, so that both are visible.
+    # Each on its own side and in its sender's colour, so that both are visible.
     both = drawn(task, scene, ONE_WAY + ONE_WAY.T)[HEADER:, SIZE // 2 - 50 : SIZE // 2 + 50]
-    dark = np.flatnonzero((both == np.array(INK)).all(axis=(1, 2)))
-    assert np.diff(dark).max() > 3
+    colours = agent_colours(2)
+    first, second = (np.flatnonzero((both == np.array(each)).all(axis=(1, 2))) for each in colours)
+    assert min(len(first), len(second)) > 3
+    assert first.max() < second.min() or second.max() < first.min()
+
+
+def test_arrows_lie_over_walls_and_a_key_names_them() -> None:
+    task = make_task("blind_passage_v0", 2)
+    scene = replace(scene_of((-0.5, -0.5), (-0.5, 0.5)), walls=np.array([[-0.5, 0.0]]))
+    picture = Renderer(task, key=True).draw(scene, np.array([[0.0, 0.0], [1.0, 0.0]]))
+    assert picture is not None
+    assert picture.shape == (HEADER + LINE + SIZE, SIZE, 3)
+    wall = picture[HEADER + LINE + SIZE // 2]
+    assert (wall == np.array(WALL)).all(axis=-1).any()
+    assert (wall == np.array(agent_colours(2)[0])).all(axis=-1).any()
+    assert (picture[HEADER : HEADER + LINE] == np.array(INK)).all(axis=-1).any()
+    plain = Renderer(task).draw(scene)
+    assert plain is not None
+    assert plain.shape == (HEADER + SIZE, SIZE, 3)
 
 
 def test_arrows_and_rings_grow_with_the_mask() -> None:

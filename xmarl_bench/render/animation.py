@@ -1,4 +1,4 @@
-"""Draws a recorded episode into one file: an animated gif or avif, an mp4 video, or a sheet as png."""
+"""Draws a recorded episode into one file: an animated gif, an mp4 video, or a sheet as png or avif."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, features
 from rich.console import Console
-from xmarl_envs.canvas import HEADER, SIZE
+from xmarl_envs.canvas import SIZE
 from xmarl_envs.render import FPS, Renderer
 
 from xmarl_bench.counted import counted
@@ -28,8 +29,10 @@ Picture = NDArray[np.uint8]
 GIF_FRAMES = 120  # at most; of longer episodes every second, third, ... step
 GIF_BYTES = 2_000_000  # at most; frames are dropped until it fits
 GIF_COLOURS = 96
-SMALL_FRAMES, SMALL_WIDTH = 24, 320  # of an avif: a fraction of a gif's bytes, for pages with many
-SMALL_PAUSE = 250  # ms between frames, at most
+FILM_ROWS, FILM_COLUMNS = (
+    4,
+    6,
+)  # of an avif: its pictures are those of a film, which a page plays and steps through
 LAST_FRAME = 1500  # ms, to show the end
 SHEET_PANELS, SHEET_COLUMNS = 6, 3
 PANEL_WIDTH = 480  # pixels
@@ -62,25 +65,30 @@ def check_target(path: Path) -> None:
 
 
 def write_animation(
-    recording: Recording, path: Path, explainer: Explainer | None = None, *, progress: bool = False
+    recording: Recording, path: Path, *explainers: Explainer, progress: bool = False
 ) -> Written:
-    """Draw the episode, with the explanation over it if there is an explainer, into one file.
+    """Draw the episode into one file, for each explainer with its explanation, side by side.
 
-    The suffix of `path` gives the format: `.gif` or `.mp4`, both at twice real time, `.avif`, small with few
-    frames, or `.png`, six moments side by side. The picture after the last step has no explanation, because
-    no action follows it. Raises InputError as `check_target` and `Recording.explain` do.
+    The suffix of `path` gives the format: `.gif` or `.mp4`, both at twice real time, `.avif`, the pictures of
+    a film in rows, or `.png`, six moments in rows. The picture after the last step has no explanation: no
+    action follows it. Raises InputError as `check_target` and `Recording.explain` do.
     """
     check_target(path)
     choose, encode = _FORMATS[path.suffix]
     cycles = choose(recording.track.cycles)
-    masks = _explain(recording, explainer, cycles, progress)
-    renderer = Renderer(recording.scenery, reach=_reach(recording))
-    title = ", ".join([recording.task.name, recording.team, *([explainer.name] if explainer else [])])
+    about = f"{recording.task.name}, {recording.team}"
+    titles = [f"{about}, {explainer.name}" for explainer in explainers] or [about]
+    masks = [_explain(recording, explainer, cycles, progress) for explainer in explainers] or [{}]
+    renderer = Renderer(recording.scenery, reach=_reach(recording), key=bool(explainers))
+
+    def drawn(cycle: int) -> Iterator[Picture]:
+        for title, of_cycle in zip(titles, masks, strict=True):
+            picture = renderer.draw(recording.track.scene(cycle), of_cycle.get(cycle), title)
+            assert picture is not None  # None only if it is shown in a window
+            yield picture
 
     def draw(cycle: int) -> Picture:
-        picture = renderer.draw(recording.track.scene(cycle), masks.get(cycle), title)
-        assert picture is not None  # None only if it is shown in a window
-        return picture
+        return np.hstack(list(drawn(cycle)))
 
     frames, data = encode(in_order(draw, cycles, progress="draw" if progress else None), cycles)
     write_atomically(path, data)
@@ -96,9 +104,10 @@ def _regular(last: int) -> list[int]:
     return sorted({*range(0, last, -(-last // (GIF_FRAMES - 1))), last})
 
 
-def _few(last: int) -> list[int]:
-    """At most SMALL_FRAMES, including the first and the last."""
-    return sorted({round(k * last / (SMALL_FRAMES - 1)) for k in range(SMALL_FRAMES)})
+def _film(last: int) -> list[int]:
+    """As many as a film has, including the first and the last; of a short episode some twice."""
+    n = FILM_ROWS * FILM_COLUMNS
+    return [round(k * last / (n - 1)) for k in range(n)]
 
 
 def _moments(last: int) -> list[int]:
@@ -107,11 +116,9 @@ def _moments(last: int) -> list[int]:
 
 
 def _explain(
-    recording: Recording, explainer: Explainer | None, cycles: Sequence[int], progress: bool
+    recording: Recording, explainer: Explainer, cycles: Sequence[int], progress: bool
 ) -> dict[int, NDArray[np.float32]]:
-    if explainer is None:
-        return {}
-    explained = [cycle for cycle in cycles if cycle < recording.track.cycles]
+    explained = sorted({cycle for cycle in cycles if cycle < recording.track.cycles})
     console = Console(stderr=True, quiet=not progress)
     with console.status(f"{explainer.name} explains {counted(len(explained), 'step')}"):
         return dict(zip(explained, recording.explain(explainer, explained), strict=True))
@@ -149,32 +156,39 @@ def _encode_gif(frames: Sequence[Image.Image], cycles: Sequence[int]) -> bytes:
 
 
 def _avif(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
-    frames = [_shrunk(picture, SMALL_WIDTH) for picture in drawn]
-    pauses = [min(SMALL_PAUSE, round(1000 / FPS) * int(steps)) for steps in np.diff(cycles)] + [LAST_FRAME]
     file = io.BytesIO()
-    frames[0].save(
-        file, "AVIF", save_all=True, append_images=frames[1:], duration=pauses, quality=35, speed=6,
-        max_threads=1,
-    )  # fmt: skip
-    return len(frames), file.getvalue()
+    sheet = _sheet([Image.fromarray(picture) for picture in drawn], FILM_COLUMNS)
+    sheet.save(file, "AVIF", quality=40, speed=8, max_threads=1)
+    return len(cycles), file.getvalue()
 
 
-def _shrunk(picture: Picture, width: int) -> Image.Image:
-    height = round(width * picture.shape[0] / picture.shape[1])
+def _sheet(panels: Sequence[Image.Image], most: int) -> Image.Image:
+    """Pictures of equal size in rows of `most`."""
+    width, height = panels[0].size
+    n_columns = min(most, len(panels))
+    sheet = Image.new("RGB", (n_columns * width, -(-len(panels) // n_columns) * height), "white")
+    for k, panel in enumerate(panels):
+        sheet.paste(panel, (k % n_columns * width, k // n_columns * height))
+    return sheet
+
+
+def _shrunk(picture: Picture) -> Image.Image:
+    height, width = (PANEL_WIDTH * side // SIZE for side in picture.shape[:2])
     return Image.fromarray(picture).resize((width, height), Image.Resampling.LANCZOS)
 
 
 def _mp4(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
     import imageio_ffmpeg
 
+    first = next(drawn)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "episode.mp4"
         writer = imageio_ffmpeg.write_frames(
-            path, (SIZE, HEADER + SIZE), fps=FPS, codec="libx264", quality=7, ffmpeg_log_level="error"
+            path, first.shape[1::-1], fps=FPS, codec="libx264", quality=8, ffmpeg_log_level="error"
         )
         writer.send(None)
         try:
-            for picture in drawn:
+            for picture in chain([first], drawn):
                 writer.send(picture)
             for _ in range(round(LAST_FRAME / 1000 * FPS)):
                 writer.send(picture)
@@ -184,17 +198,12 @@ def _mp4(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
 
 
 def _png(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:
-    panels = [_shrunk(picture, PANEL_WIDTH) for picture in drawn]
-    width, height = panels[0].size
-    n_columns = min(SHEET_COLUMNS, len(panels))
-    sheet = Image.new("RGB", (n_columns * width, -(-len(panels) // n_columns) * height), "white")
-    for k, panel in enumerate(panels):
-        sheet.paste(panel, (k % n_columns * width, k // n_columns * height))
+    panels = [_shrunk(picture) for picture in drawn]
     file = io.BytesIO()
-    sheet.save(file, "PNG", optimize=True)
+    _sheet(panels, SHEET_COLUMNS).save(file, "PNG", optimize=True)
     return len(panels), file.getvalue()
 
 
 _FORMATS: dict[
     str, tuple[Callable[[int], list[int]], Callable[[Iterator[Picture], Sequence[int]], tuple[int, bytes]]]
-] = {".gif": (_regular, _gif), ".avif": (_few, _avif), ".mp4": (_all, _mp4), ".png": (_moments, _png)}
+] = {".gif": (_regular, _gif), ".avif": (_film, _avif), ".mp4": (_all, _mp4), ".png": (_moments, _png)}

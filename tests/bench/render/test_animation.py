@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 from xmarl_envs import make_task
-from xmarl_envs.canvas import HEADER, SIZE
+from xmarl_envs.canvas import HEADER, LINE, SIZE
 from xmarl_envs.colours import agent_colours
 from xmarl_envs.render import FPS, Renderer
 
@@ -21,11 +21,10 @@ from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.policy import load_policy
 from xmarl_bench.render import animation
 from xmarl_bench.render.animation import (
+    FILM_COLUMNS,
+    FILM_ROWS,
     GIF_BYTES,
     LAST_FRAME,
-    SMALL_FRAMES,
-    SMALL_PAUSE,
-    SMALL_WIDTH,
     write_animation,
 )  # fmt: skip
 from xmarl_bench.render.recording import Recording, record
@@ -121,30 +120,41 @@ def test_a_png_shows_six_moments(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_avif_is_small_and_shows_few_frames(tmp_path: Path) -> None:
-    recording = recorded(90, 5)
-    gif = write_animation(recording, tmp_path / "a.gif")
-    written = write_animation(recording, tmp_path / "a.avif")
-    assert written.n_bytes < gif.n_bytes / 4
+def test_an_avif_holds_the_pictures_of_a_film_in_rows(tmp_path: Path) -> None:
+    recording = recorded(46)
+    assert write_animation(recording, tmp_path / "a.avif").frames == FILM_ROWS * FILM_COLUMNS
     with Image.open(tmp_path / "a.avif") as image:
-        assert image.size == (SMALL_WIDTH, SMALL_WIDTH * (HEADER + SIZE) // SIZE)
-        shown, pauses = [], []
-        for frame in ImageSequence.Iterator(image):
-            shown.append(np.asarray(frame.convert("RGB")))
-            pauses.append(frame.info["duration"])
-    assert len(shown) == written.frames == SMALL_FRAMES
-    assert max(pauses[:-1]) <= SMALL_PAUSE < pauses[-1] == LAST_FRAME
-    for k, cycle in ((0, 0), (15, round(15 * 90 / 23)), (23, 90)):
-        near, far = (
-            np.asarray(Image.fromarray(expected(recording, c)).resize(image.size, Image.Resampling.LANCZOS))
-            for c in (cycle, (cycle + 30) % 90)
-        )
-        assert wrong(shown[k], near) < 0.3 * wrong(shown[k], far)
+        assert image.size == (FILM_COLUMNS * SIZE, FILM_ROWS * (HEADER + SIZE))
+        sheet = np.asarray(image.convert("RGB"))
+    for k in (0, 15, 23):
+        row, column = divmod(k, FILM_COLUMNS)
+        shown = sheet[row * (HEADER + SIZE) :, column * SIZE :][: HEADER + SIZE, :SIZE]
+        other = expected(recording, (2 * k + 20) % 46)
+        assert wrong(shown, expected(recording, 2 * k)) < 0.3 * wrong(shown, other)
+
+
+@pytest.mark.slow
+def test_explainers_stand_side_by_side_with_a_key(tmp_path: Path, make_bundle: MakeBundle) -> None:
+    policy, _ = load_policy(make_bundle())
+    recording = record(make_task("blind_navigation_v0", 3), "small", policy, max_cycles=3)
+    explainers = [CONTROLS["all-ones"], CONTROLS["self"]]
+    write_animation(recording, tmp_path / "two.avif", *explainers)
+    with Image.open(tmp_path / "two.avif") as image:
+        both = np.asarray(image.convert("RGB"))
+    assert both.shape == (FILM_ROWS * (HEADER + LINE + SIZE), FILM_COLUMNS * 2 * SIZE, 3)
+    height = HEADER + LINE + SIZE
+    for k, explainer in enumerate(explainers):
+        write_animation(recording, tmp_path / "one.avif", explainer)
+        with Image.open(tmp_path / "one.avif") as image:
+            alone = np.asarray(image.convert("RGB"))[:height, :SIZE]
+        assert wrong(both[:height, k * SIZE : (k + 1) * SIZE], alone) < 0.001
+    assert wrong(both[HEADER + LINE : height, :SIZE], both[HEADER + LINE : height, SIZE : 2 * SIZE]) > 0.001
 
 
 @pytest.mark.parametrize("suffix", ["gif", "avif", pytest.param("mp4", marks=pytest.mark.slow), "png"])
 def test_an_episode_of_one_step_is_drawn(suffix: str, tmp_path: Path) -> None:
-    assert write_animation(recorded(1), tmp_path / f"a.{suffix}").frames == 2
+    frames = FILM_ROWS * FILM_COLUMNS if suffix == "avif" else 2
+    assert write_animation(recorded(1), tmp_path / f"a.{suffix}").frames == frames
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
+from xmarl_envs.canvas import HEADER, LINE, SIZE
 
 from tests.conftest import MakeBundle, RunCli
 from tests.helpers.installed import install
@@ -23,7 +24,7 @@ def board(tmp_path: Path, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPat
     """One entry of an installed policy, and one of a policy that is not installed."""
     bundle = make_bundle(name="small")
     install(monkeypatch, small=bundle)
-    monkeypatch.setattr(animation, "SMALL_FRAMES", 4)
+    monkeypatch.setattr(animation, "FILM_ROWS", 1)
     folder = tmp_path / "board"
     entry = score(bundle, find_explainer("random"), episodes=1, timesteps=2, max_cycles=6)
     write_entry(folder / "entries", entry)
@@ -40,7 +41,7 @@ def test_animations_are_drawn_once_and_shown(board: Path, run_cli: RunCli) -> No
     assert f"{path}: small, random" in ran.out
     assert "stranger, random: no animation: " in ran.out
     with Image.open(path) as image:
-        assert image.n_frames == 4  # type: ignore[attr-defined]
+        assert image.size == (6 * SIZE, HEADER + LINE + SIZE)
     (data,) = (board / "pages").glob("board-*.js")
     assert path.stem in data.read_text()
     assert check_board(board) == []

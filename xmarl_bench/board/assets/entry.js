@@ -70,22 +70,6 @@ function showCommand(details) {
   });
 }
 
-function showAnimation(row) {
-  $("animation").hidden = !row.animated;
-  if (!row.animated) return;
-  const picture = $("episode"), source = `animations/${row.id}.avif`;
-  const play = (playing) => {
-    $("play").textContent = playing ? "Stop" : "Play";
-    if (playing) picture.src = source;
-    else picture.removeAttribute("src");
-    picture.hidden = !playing;
-  };
-  picture.alt = `The first episode of ${row.policy.name}, seen from above; the strength of arrows between agents is how much their messages matter, by ${row.explainer}.`;
-  $("episode-caption").textContent = `The first scored episode, with the explanation by ${row.explainer}.`;
-  $("play").addEventListener("click", () => play(picture.hidden));
-  play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
-}
-
 async function showEntry() {
   const asked = location.hash.slice(1);
   const row = rows.find(({ id }) => id !== null && id === asked);
@@ -104,7 +88,7 @@ async function showEntry() {
   showMetrics(row, mine);
   showCommand(mine);
   showProvenance(row, mine);
-  showAnimation(row);
+  showEpisodes(row);
   $("budgets").innerHTML = details.charts.join("") || "<p class='dim'>This entry has no budgets: it is too old, or the team is too small.</p>";
   for (const line of $("budgets").querySelectorAll("g.line:not(.bound)")) { // this entry's line alone in colour
     const own = line.dataset.entry === row.id;

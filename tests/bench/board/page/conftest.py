@@ -14,6 +14,7 @@ from xmarl_bench.board import ORDER, build_board
 from xmarl_bench.board.build import CARDS
 from xmarl_bench.entry.file import write_entry
 from xmarl_bench.entry.schema import Entry, FreshDifference, FreshSeeds, Verification, entry_id
+from xmarl_bench.render.animation import FILM_COLUMNS, FILM_ROWS
 
 __all__ = ["browse", "chromium"]
 EXPLAINERS = {"good": 0.9, "fair": 0.6, "bad": 0.3}
@@ -34,7 +35,7 @@ def with_fresh(entry: Entry, less: float) -> Entry:
 
 @pytest.fixture(scope="session")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four policies (3, 4, 5 and 3 agents, every second one regularised), a failing one, one animation."""
+    """Four policies (3, 4, 5 and 3 agents, every second one regularised), a failing one, two films of p0."""
     folder = tmp_path_factory.mktemp("page") / "leaderboard"
     entries = [
         *made_board(["p0", "p1", "p2", "p3"], EXPLAINERS),
@@ -45,10 +46,10 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for entry in entries:
         write_entry(folder / "entries", entry)
     (folder / "animations").mkdir()
-    frames = [Image.new("RGB", (80, 60), colour) for colour in ("red", "blue")]
-    frames[0].save(
-        folder / "animations" / f"{entries[0].entry_id[:16]}.avif", save_all=True, append_images=frames[1:]
-    )
+    film = Image.new("RGB", (FILM_COLUMNS * 64, FILM_ROWS * 74), "red")
+    film.paste("blue", (64, 0, 128, 74))  # the second picture
+    for entry in entries[:2]:
+        film.save(folder / "animations" / f"{entry.entry_id[:16]}.avif")
     (folder / CARDS).write_text(json.dumps({"good": CARD}))
     build_board(folder)
     return folder

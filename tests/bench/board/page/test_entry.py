@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import io
+import re
 from pathlib import Path
 
 import pytest
+from PIL import Image
 from playwright.sync_api import expect
 
 from tests.bench.board.page.browser import Browse
 from xmarl_bench.board.command import command_of
+from xmarl_bench.board.page import HERE
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.entry.schema import Entry
+from xmarl_bench.render.animation import FILM_COLUMNS, FILM_ROWS
 
 
 def find(board: Path, policy: str, explainer: str = "good") -> Entry:
@@ -57,17 +62,50 @@ def test_what_fresh_seeds_say_stands_beside_the_badge(board: Path, browse: Brows
 
 
 @pytest.mark.parametrize("motion", ["no-preference", "reduce"])
-def test_the_animation_can_be_stopped(board: Path, browse: Browse, motion: str) -> None:
-    identity = find(board, "p0").entry_id[:16]
-    page = browse(board / "entry.html", f"#{identity}", reduced_motion=motion)
-    picture, moving = page.locator("#episode"), motion == "no-preference"
-    button = page.get_by_role("button", name="Stop" if moving else "Play")
-    expect(picture).to_be_visible(visible=moving)
-    button.click()
-    expect(picture).to_be_visible(visible=not moving)
-    assert "first episode" in str(picture.get_attribute("alt"))
-    if not moving:
-        page.wait_for_function("document.getElementById('episode').naturalWidth === 80")
+def test_an_episode_is_played_paused_and_stepped(board: Path, browse: Browse, motion: str) -> None:
+    page = browse(board / "entry.html", f"#{find(board, 'p0').entry_id[:16]}", reduced_motion=motion)
+    film, frame, moving = page.locator(".film"), page.locator("#frame"), motion == "no-preference"
+    expect(film).to_have_attribute("aria-label", re.compile("first episode of p0"))
+    assert page.evaluate("document.querySelector('.film').clientWidth") in (638, 640)
+    if moving:
+        expect(frame).not_to_have_value("0")
+        page.get_by_role("button", name="Pause").click()
+    expect(page.get_by_role("button", name="Play")).to_be_visible()
+    frame.fill("0")
+    page.get_by_role("button", name="Step on").click()
+    expect(frame).to_have_value("1")
+    expect(film).to_have_css("background-position", "20% 0%")
+    red, _, blue = pixel(film.screenshot(), 320, 300)
+    assert blue > red  # the second picture
+    page.get_by_role("button", name="Step back").click()
+    expect(film).to_have_css("background-position", "0% 0%")
+    frame.fill("23")
+    expect(film).to_have_css("background-position", "100% 100%")
+
+
+def test_two_explainers_stand_side_by_side(board: Path, browse: Browse) -> None:
+    page = browse(board / "entry.html", f"#{find(board, 'p0').entry_id[:16]}", reduced_motion="reduce")
+    films, other = page.locator(".film"), page.locator("#beside option").nth(1)
+    page.get_by_label("Beside it").select_option(other.get_attribute("value"))
+    expect(films).to_have_count(2)
+    page.get_by_role("button", name="Step on").click()
+    for k in range(2):
+        expect(films.nth(k)).to_have_css("background-position", "20% 0%")
+    one, two = (films.nth(k).get_attribute("aria-label") for k in range(2))
+    assert one != two
+    page.get_by_label("Beside it").select_option("")
+    expect(films).to_have_count(1)
+
+
+def test_the_page_knows_the_form_of_a_film() -> None:
+    script = (HERE / "assets" / "episode.js").read_text()
+    assert f"rows: {FILM_ROWS}, columns: {FILM_COLUMNS}," in script
+
+
+def pixel(png: bytes, x: int, y: int) -> tuple[int, int, int]:
+    with Image.open(io.BytesIO(png)) as image:
+        red, green, blue = image.convert("RGB").getpixel((x, y))  # type: ignore[misc]
+    return red, green, blue
 
 
 def test_pages_work_without_an_animation(board: Path, browse: Browse) -> None:

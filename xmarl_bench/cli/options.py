@@ -120,6 +120,14 @@ Address = Annotated[
         rich_help_panel=RUNS_ON,
     ),
 ]
+Device = Annotated[
+    str,
+    typer.Option(
+        help="Where training or explainers that iterate compute: cpu, cuda or mps. Only the CPU repeats bit "
+        "for bit.",
+        rich_help_panel=RUNS_ON,
+    ),
+]
 Parallel = Annotated[
     int,
     typer.Option(

@@ -16,6 +16,7 @@ from xmarl_bench.cli.options import (
     Agents,
     Backend,
     CacheFolder,
+    Device,
     Episodes,
     Explainers,
     Jobs,
@@ -79,6 +80,7 @@ def score(
     jobs: Jobs = None,
     backend: Backend = "loky",
     address: Address = None,
+    device: Device = "cpu",
     parallel_episodes: Parallel = 50,
     cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
@@ -136,10 +138,11 @@ def score(
     from xmarl_bench.board import build_board
     from xmarl_bench.cli import tables
     from xmarl_bench.cli.score_table import print_scores
+    from xmarl_bench.explain.explainer import on_device
     from xmarl_bench.scoring.request import plan
     from xmarl_bench.scoring.score import Failed, score_requests
 
-    explainers = select_explainers(names)
+    explainers = [on_device(each, device) for each in select_explainers(names)]
     requests = plan(
         [each.open() for each in chosen],
         explainers,

@@ -22,7 +22,8 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def provenance(started: str, jobs: int) -> Provenance:
+def provenance(started: str, jobs: int, device: str | None = None) -> Provenance:
+    """device: of the explainer, if it is not the CPU."""
     import torch
 
     commit, dirty = commit_of_harness()
@@ -36,6 +37,7 @@ def provenance(started: str, jobs: int) -> Provenance:
         machine=platform.machine(),
         cpu=_cpu(),
         cpu_capability=torch.backends.cpu.get_cpu_capability(),
+        device=device,
         threads=1,
         jobs=jobs,
         command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),

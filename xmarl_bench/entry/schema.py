@@ -277,6 +277,7 @@ class Provenance(Record):
     machine: Text  # x86_64, arm64, ...
     cpu: Text
     cpu_capability: Text  # vector instructions that torch uses; its rounding depends on them
+    device: Text | None = left_out()  # of the explainer, if it was not the CPU
     threads: Annotated[int, Field(ge=1)]  # per worker
     jobs: Annotated[int, Field(ge=1)]
     command: Text

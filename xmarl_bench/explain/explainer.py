@@ -22,6 +22,7 @@ from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.black_box import BlackBox
+from xmarl_bench.policy.device import CPU, checked_device
 from xmarl_bench.reproducible import seeded
 from xmarl_bench.rollout.simulator import Simulator
 
@@ -75,6 +76,9 @@ class Explainer:
     accesses: Access | None = None
     # The absence model under which it removes messages; None: it removes none, or does not declare it.
     absence: Absence | None = None
+    # It computes on the device of its observations. Its generator draws on the CPU, whatever the device.
+    any_device: bool = False
+    device: str = CPU  # chosen by the run, with `on_device`
     fit: Fit | None = None  # learns once per policy, from states that no score uses
     fitted_on: Tensor | None = field(default=None, compare=False, repr=False)  # (S, N, D)
     simulator: Simulator | None = field(default=None, compare=False, repr=False)  # of the episode explained
@@ -110,16 +114,18 @@ def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed
 
     def run(generator: torch.Generator) -> object:
         if explainer.batched:
-            returned = explain(seen(explainer, copy.deepcopy(policy)), observations.clone(), generator)
-            return as_edge_masks(name, returned, (n_steps, n_agents, n_agents), nodes)
+            returned = explain(*_given(explainer, policy, observations), generator)
+            masks = as_edge_masks(name, returned, (n_steps, n_agents, n_agents), nodes)
+            return masks.cpu() if isinstance(masks, Tensor) and explainer.device != CPU else masks
         seeds = torch.randint(2**62, (n_steps,), generator=generator).tolist()
-        masks: list[Tensor] = []
+        each_mask: list[Tensor] = []
         for x, each in zip(observations, seeds, strict=True):
-            private, drawn = copy.deepcopy(policy), torch.Generator().manual_seed(each)
-            returned = explain(seen(explainer, private), x.clone(), drawn)
+            drawn = torch.Generator().manual_seed(each)
+            returned = explain(*_given(explainer, policy, x), drawn)
             mask = as_edge_masks(name, returned, (n_agents, n_agents), nodes)
-            masks.append(as_floats(name, mask, (n_agents, n_agents)))
-        return torch.stack(masks)
+            each_mask.append(as_floats(name, mask, (n_agents, n_agents)))
+        stacked = torch.stack(each_mask)
+        return stacked if explainer.device == CPU else stacked.cpu()
 
     return _guarded(explainer, seed, f"observations of shape {tuple(observations.shape)}", run)
 
@@ -136,9 +142,26 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
         explainer,
         seed,
         f"{len(observations)} timesteps to be fitted on",
-        lambda generator: fit(seen(explainer, copy.deepcopy(policy)), observations.clone(), generator),
+        lambda generator: fit(*_given(explainer, policy, observations), generator),
     )
     return replace(explainer, explain=fitted, fitted_on=observations)
+
+
+def on_device(explainer: Explainer, name: str) -> Explainer:
+    """The explainer computing on this device, if it can; else unchanged, on the CPU.
+
+    Raises InputError if the device is unknown or missing.
+    """
+    device = checked_device(name)
+    return replace(explainer, device=device) if explainer.any_device else explainer
+
+
+def _given(explainer: Explainer, policy: Policy, observations: Tensor) -> tuple[Policy, Tensor]:
+    """Private copies of policy and observations, on the explainer's device."""
+    private, x = copy.deepcopy(policy), observations.clone()
+    if explainer.device != CPU:
+        private, x = private.to(explainer.device), x.to(explainer.device)
+    return seen(explainer, private), x
 
 
 def explain_of(explainer: Explainer) -> Explain:

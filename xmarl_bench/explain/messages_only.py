@@ -59,7 +59,7 @@ class OwnKept(Policy):
 
 def _with_own(mask: Tensor) -> Tensor:
     """(..., N, N) -> the same with ones on the diagonal, which have no gradient."""
-    own = torch.eye(mask.shape[-1], dtype=mask.dtype)
+    own = torch.eye(mask.shape[-1], dtype=mask.dtype, device=mask.device)
     return mask * (1.0 - own) + own
 
 

@@ -19,12 +19,13 @@ from xmarl_bench.entry.schema import Entry, ExplainerRecord, PolicyRecord, Proto
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER
-from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.explainer import Explainer, on_device
 from xmarl_bench.explain.simulated import SIMULATOR
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.plugins.registry import checked_name, find_explainer, open_policy
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
+from xmarl_bench.policy.device import CPU
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.reproducible import torch_defaults
 from xmarl_bench.rollout.cell import Cell, Sampling, check_parallel
@@ -63,6 +64,7 @@ def score(
     max_cycles: int | None = None,
     behaviour_episodes: int | None = None,
     seed: int = 0,
+    device: str = CPU,
     jobs: int = 1,
     parallel_episodes: int = 50,
     progress: bool = False,
@@ -82,6 +84,8 @@ def score(
         episodes, timesteps, max_cycles, seed: which states, see `Sampling`.
         behaviour_episodes: how many of the episodes the team also plays on the explanation, which calls the
             explainer at every step; by default all, or none if the explainer declares itself slow.
+        device: where an explainer computes that declares `any_device`, such as "cuda". Only the CPU repeats
+            bit for bit.
         jobs: processes.
         parallel_episodes: episodes stepped in parallel in a process.
         trust_code: run the code of policy and task, if they have their own.
@@ -101,6 +105,7 @@ def score(
         chosen = find_explainer(explainer)
     else:
         chosen = checked_name(as_explainer(explainer))
+    chosen = on_device(chosen, device)
     if where is None:
         where = open_task(card.task, trust_code=trust_code).name
     cell = Cell(where, card.n_agents if n_agents is None else n_agents)
@@ -210,7 +215,9 @@ def _entry(
         ),
         results=tuple(result for result, _ in cells),
         cost=total_cost([cost for _, cost in cells]),
-        provenance=provenance(started, jobs),
+        provenance=provenance(
+            started, jobs, None if request.explainer.device == CPU else request.explainer.device
+        ),
     )
 
 

@@ -30,16 +30,17 @@ class Platform:
     machine: str
     cpu: str
     cpu_capability: str
+    device: str | None  # None: the CPU
 
     @classmethod
     def here(cls) -> Platform:
         here = provenance("", 1)
-        return cls(here.packages, here.python, here.machine, here.cpu, here.cpu_capability)
+        return cls(here.packages, here.python, here.machine, here.cpu, here.cpu_capability, None)
 
     @classmethod
     def of(cls, entry: Entry) -> Platform:
         there = entry.provenance
-        return cls(there.packages, there.python, there.machine, there.cpu, there.cpu_capability)
+        return cls(there.packages, there.python, there.machine, there.cpu, there.cpu_capability, there.device)
 
 
 def is_same_platform(entry: Entry) -> bool:

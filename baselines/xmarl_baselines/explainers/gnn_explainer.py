@@ -85,7 +85,8 @@ def gnn_explainer_mask(policy: Policy, observations: Tensor, generator: torch.Ge
     policy, seeds = frozen(policy), timestep_seeds(n_steps, generator)
 
     def explain(steps: slice) -> Tensor:
-        return optimise_mask(policy, observations[steps], random_logits(n_agents, seeds[steps]), SETTINGS)
+        start = random_logits(n_agents, seeds[steps]).to(observations.device)
+        return optimise_mask(policy, observations[steps], start, SETTINGS)
 
     return by_chunks(observations, explain)
 
@@ -99,6 +100,7 @@ gnn_explainer = Explainer(
     stochastic=True,
     hyperparameters=asdict(SETTINGS),
     absence=Absence.ZERO,
+    any_device=True,
 )
 
 gnn_explainer_messages = messages_only(gnn_explainer)

@@ -44,6 +44,7 @@ gnn_explainer_tuned = Explainer(
     "GNNExplainer from zero, with settings that fit policies",
     hyperparameters={**asdict(SETTINGS), "start": "zero"},
     absence=Absence.ZERO,
+    any_device=True,
 )
 
 gnn_explainer_tuned_messages = messages_only(gnn_explainer_tuned)

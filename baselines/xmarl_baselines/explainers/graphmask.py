@@ -129,7 +129,7 @@ def graphmask_mask(policy: Policy, observations: Tensor, generator: torch.Genera
     policy, seeds = frozen(policy), timestep_seeds(n_steps, generator)
 
     def explain(steps: slice) -> Tensor:
-        noise = uniform_noise(SETTINGS.epochs, n_agents, seeds[steps])
+        noise = uniform_noise(SETTINGS.epochs, n_agents, seeds[steps]).to(observations.device)
         return optimise_gates(policy, observations[steps], noise, SETTINGS)
 
     return by_chunks(observations, explain)
@@ -144,6 +144,7 @@ graphmask = Explainer(
     stochastic=True,
     hyperparameters=asdict(SETTINGS),
     absence=Absence.ZERO,
+    any_device=True,
 )
 
 graphmask_messages = messages_only(graphmask)

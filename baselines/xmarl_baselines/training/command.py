@@ -22,7 +22,7 @@ from xmarl_baselines.training.own_process import train_in_own_process
 from xmarl_baselines.training.recipes import recipe_for
 from xmarl_baselines.training.trainer import Report, Run, train
 from xmarl_bench.cli.fitted_table import print_table
-from xmarl_bench.cli.options import Address, Backend
+from xmarl_bench.cli.options import Address, Backend, Device
 from xmarl_bench.cli.program import Version
 from xmarl_bench.cli.program import run as run_program
 from xmarl_bench.cli.score_table import performance_rows
@@ -30,6 +30,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, save_policy
+from xmarl_bench.policy.device import CPU, checked_device
 from xmarl_bench.policy.untrusted import CARD
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.rollout.cell import Cell
@@ -48,6 +49,7 @@ OF_A_RUN = (
     "frames",
     "start_from",
     "episodes",
+    "device",
 )
 OF_MANY = ("jobs", "backend", "address")
 
@@ -90,6 +92,7 @@ def command(
         Path | None, typer.Option(help="folder of a finished run to fine-tune, e.g. with another lambda")
     ] = None,
     resume: Annotated[bool, typer.Option(help="continue an interrupted run")] = False,
+    device: Device = CPU,
     episodes: Annotated[int, typer.Option(min=1, help="episodes of the evaluation at the end")] = EPISODES,
     version: Version = False,
 ) -> None:
@@ -120,7 +123,8 @@ def command(
         recipe = replace(recipe, attention_start=attention_start)
     start = None if start_from is None else start_from.resolve().name
     run = Run(recipe, agents, attention_entropy, seed, caution, start)
-    _train(run, out, resume=resume, start_from=start_from, episodes=episodes)
+    place = checked_device(device)
+    _train(run, out, resume=resume, start_from=start_from, episodes=episodes, device=place)
 
 
 def _refuse(context: typer.Context, options: tuple[str, ...], why: str) -> None:
@@ -133,10 +137,14 @@ def _refuse(context: typer.Context, options: tuple[str, ...], why: str) -> None:
             raise InputError(f"--{given} {context.params[given]} {why}: leave out --{name}.")
 
 
-def _train(run: Run, out: Path, *, resume: bool, start_from: Path | None, episodes: int) -> None:
+def _train(
+    run: Run, out: Path, *, resume: bool, start_from: Path | None, episodes: int, device: str = CPU
+) -> None:
     folder = out / run.name
     try:
-        card = train_and_save(run, folder, resume=resume, start_from=start_from, episodes=episodes)
+        card = train_and_save(
+            run, folder, resume=resume, start_from=start_from, episodes=episodes, device=device
+        )
     except KeyboardInterrupt:
         print("xmarl-train: stopped. Run the same command with --resume to continue.", file=sys.stderr)
         raise typer.Exit(130) from None
@@ -182,12 +190,18 @@ def _check_start(folder: Path, task: str, agents: int, family: Family) -> None:
 
 
 def train_and_save(
-    run: Run, folder: Path, *, resume: bool, start_from: Path | None, episodes: int
+    run: Run,
+    folder: Path,
+    *,
+    resume: bool,
+    start_from: Path | None,
+    episodes: int,
+    device: str = CPU,
 ) -> PolicyCard:
     """Train, measure on `episodes` deterministic episodes, and write RUN/policy; returns its card."""
     # Two runs side by side on one thread each are faster than one after the other on two.
     with one_thread(), _progress(run) as report:
-        trained = train(run, folder, resume=resume, start_from=start_from, report=report)
+        trained = train(run, folder, resume=resume, start_from=start_from, report=report, device=device)
     return save_policy(
         folder / "policy",
         trained.policy,
@@ -205,6 +219,7 @@ def train_and_save(
             "validation": trained.validation,
             "curve": trained.curve,
             "command": _command(run),
+            **({} if device == CPU else {"device": device}),
         },
         performance=evaluate_policy(trained.policy, run.recipe.task, run.n_agents, episodes=episodes),
     )

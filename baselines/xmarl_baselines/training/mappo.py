@@ -45,8 +45,8 @@ class _TruncationBootstrap(BaseCallback):
             last = torch.from_numpy(np.stack([infos[k]["truncated_observation"] for k in which]))
             assert isinstance(self.model, MAPPO)
             with torch.no_grad():
-                values = self.model.policy.predict_values(last)
-            self.locals["rewards"][which] += self.model.gamma * values.numpy()
+                values = self.model.policy.predict_values(last.to(self.model.device))
+            self.locals["rewards"][which] += self.model.gamma * values.cpu().numpy()
         return True
 
 

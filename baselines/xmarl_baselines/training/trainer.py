@@ -32,6 +32,7 @@ from xmarl_baselines.training.team_vec_env import TeamVecEnv
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.policy.build import untrained_policy
+from xmarl_bench.policy.device import CPU
 from xmarl_bench.records.files import write_json
 from xmarl_bench.rollout.cell import Cell
 
@@ -102,16 +103,17 @@ def train(
     start_from: Path | None = None,
     checkpoint_every: int = 10,
     report: Report | None = None,
+    device: str = CPU,
 ) -> Trained:
     """Train to the end of the recipe; returns the best policy on the validation episodes.
 
     start_from: folder of the finished run that `run.start_from` names; its weights and optimiser are read.
-    checkpoint_every: iterations between checkpoints. Raises InputError if `folder` holds another run, or if
-    it holds this one and `resume` is not set.
+    checkpoint_every: iterations between checkpoints. device: of torch, see `checked_device`. Raises
+    InputError if `folder` holds another run, or if it holds this one and `resume` is not set.
     """
     done = _begin(run, folder, resume)
     frames, seconds = done or (0, 0.0)
-    model = build(run, seed=run.seed + frames, tensorboard=folder / "tensorboard")
+    model = build(run, seed=run.seed + frames, tensorboard=folder / "tensorboard", device=device)
     if done is not None:
         _restore(model, folder / "checkpoint.zip")
         model.num_timesteps = frames
@@ -141,7 +143,7 @@ def train(
     return Trained(policy, seconds, validation, selection.curve())
 
 
-def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
+def build(run: Run, *, seed: int, tensorboard: Path | None = None, device: str = CPU) -> MAPPO:
     """The untrained learner of a run."""
     recipe = run.recipe
     task = make_task(recipe.task, run.n_agents)
@@ -166,7 +168,7 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None) -> MAPPO:
         attention_start=recipe.attention_start,
         policy_kwargs={"architecture": recipe.architecture, "critic": recipe.critic},
         tensorboard_log=None if tensorboard is None else str(tensorboard),
-        device="cpu",
+        device=device,
         seed=seed,
     )
     # The weights that `xmarl_bench.policy.initial_policy` rebuilds from the card.
@@ -193,7 +195,7 @@ def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
 def _restore(model: MAPPO, checkpoint: Path) -> None:
     """Set weights and optimiser. Raises InputError if the file is not a checkpoint of such a model."""
     try:
-        model.set_parameters(str(checkpoint), device="cpu")
+        model.set_parameters(str(checkpoint), device=model.device)
     except OSError:
         raise
     except Exception as error:  # of zipfile, pickle or torch

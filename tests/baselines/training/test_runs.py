@@ -85,3 +85,14 @@ def test_a_run_can_start_from_a_finished_one(tmp_path: Path) -> None:
     finished = MAPPO.load(tmp_path / "first" / "checkpoint.zip").policy.actor.state_dict()
     for name, tensor in trained.policy.state_dict().items():  # nothing was learned at a rate of 0
         assert torch.equal(tensor, finished[name]), name
+
+
+def test_training_on_another_device_object_gives_the_same_weights(tmp_path: Path) -> None:
+    """`cpu:0` is passed on wherever a GPU would be, and computes the bits of `cpu`."""
+    run = Run(small("blind_discovery_v0"), n_agents=2, seed=1)
+    here, there = (
+        train(run, tmp_path / device.replace(":", "-"), device=device).policy for device in ("cpu", "cpu:0")
+    )
+    assert {each.device.type for each in there.parameters()} == {"cpu"}
+    for a, b in zip(here.parameters(), there.parameters(), strict=True):
+        assert torch.equal(a, b)

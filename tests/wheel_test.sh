@@ -34,7 +34,7 @@ for name in ("envs", "baselines", "tests", "docs", "leaderboard"):
 top = {path.parts[0] for path in distribution("xmarl-bench").files or [] if path.parts[0] != ".."}
 assert top == {"xmarl_bench", "xmarl_envs", "xmarl_baselines", next(t for t in top if t.endswith(".dist-info"))}, top
 files = {str(path) for path in distribution("xmarl-bench").files or []}
-for needed in ("xmarl_bench/board/templates/index.html.jinja", "xmarl_bench/board/assets/board.css"):
+for needed in ("xmarl_bench/board/templates/base.html.jinja", "xmarl_bench/board/assets/board.css"):
     assert needed in files, f"the wheel lacks {needed}"
 assert any(name.endswith("policy.safetensors") for name in files), "the wheel brings no policy"
 PYTHON

@@ -176,7 +176,7 @@ def main() -> None:
     board = scores_of_board(
         json.loads((HERE.parent / "leaderboard" / "leaderboard.json").read_bytes())["tables"]
     )
-    planted = scores_of_planted(score_planted(select_explainers(["all"]), n_steps=50))
+    planted = scores_of_planted(score_planted(select_explainers(["all"])[0], n_steps=50))
     with one_thread():
         who_matters = {
             card.name: absences_agree(

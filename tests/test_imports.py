@@ -27,6 +27,7 @@ LAYERS = (
     ("policy",),
     ("entry", "rollout"),
     ("compare", "explain", "planted"),
+    ("isolation",),
     ("board", "checks", "dataset", "plugins"),
     ("scoring",),
     ("meta", "papers", "render", "submission"),

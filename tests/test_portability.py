@@ -46,7 +46,7 @@ UNIX = {
     },
     "signal": {"SIGALRM", "SIGCHLD", "SIGHUP", "SIGKILL", "SIGPIPE", "SIGSTOP", "SIGUSR1", "alarm"},
 }  # fmt: skip
-REFUSES = {"sandbox.py"}  # runs on Unix only, and says so
+REFUSES = {"process.py", "keeper.py"}  # run on Unix only, and say so
 
 
 def files(*folders: Path) -> Iterator[tuple[Path, ast.Module]]:

@@ -134,4 +134,19 @@ Parallel = Annotated[
         help="Episodes stepped in parallel in a process. Changes no result.", rich_help_panel=RUNS_ON
     ),
 ]
+Isolate = Annotated[
+    bool,
+    typer.Option(
+        help="Run explainers that are not shipped in processes of their own. --no-isolate runs them in this "
+        "process, to debug them: entries say so, and nothing is kept in the cache.",
+        rich_help_panel=HOW_MUCH,
+    ),
+]
+AnswerSeconds = Annotated[
+    float,
+    typer.Option(
+        help="Seconds in which a process of an explainer must answer for an episode.",
+        rich_help_panel=HOW_MUCH,
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]

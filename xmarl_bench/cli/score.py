@@ -14,11 +14,13 @@ from xmarl_bench.cli.options import (
     WHERE,
     Address,
     Agents,
+    AnswerSeconds,
     Backend,
     CacheFolder,
     Device,
     Episodes,
     Explainers,
+    Isolate,
     Jobs,
     MaxCycles,
     Parallel,
@@ -31,6 +33,7 @@ from xmarl_bench.cli.options import (
     Timesteps,
     TrustCode,
 )
+from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
 
 if TYPE_CHECKING:
@@ -84,6 +87,8 @@ def score(
     parallel_episodes: Parallel = 50,
     cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
+    isolate: Isolate = True,
+    answer_seconds: AnswerSeconds = UNLIMITED.answer_seconds,
     submitter: Submitter = None,
     out: Annotated[
         Path, typer.Option(help="Folder for entries/ and the page.", rich_help_panel=WHERE)
@@ -113,12 +118,17 @@ def score(
     from xmarl_bench.records.files import locked, remove_leftovers
     from xmarl_bench.rollout.cell import Sampling, check_parallel
     from xmarl_bench.scoring.arguments import check_among, check_behaviour_episodes
-    from xmarl_bench.scoring.cache import Cache
+    from xmarl_bench.scoring.cache import Cache, Memory
     from xmarl_bench.scoring.selection import choose_policies, explainers_meant, select_explainers
 
     names = explainers_meant(explainer)
+    limits = replace(UNLIMITED, answer_seconds=answer_seconds) if isolate else None
     if suite == "planted":
-        _score_planted(select_explainers(names), seed, out)
+        from xmarl_bench.cli import tables
+
+        explainers, not_loaded = select_explainers(names, limits)
+        _score_planted(explainers, seed, out)
+        tables.exit_for_failures(not_loaded, len(names))
         return
     workers = Workers(jobs, backend, address)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
@@ -142,7 +152,8 @@ def score(
     from xmarl_bench.scoring.request import plan
     from xmarl_bench.scoring.score import Failed, score_requests
 
-    explainers = [on_device(each, device) for each in select_explainers(names)]
+    found, not_loaded = select_explainers(names, limits)
+    explainers = [on_device(each, device) for each in found]
     requests = plan(
         [each.open() for each in chosen],
         explainers,
@@ -162,7 +173,7 @@ def score(
                 parallel_episodes=parallel_episodes,
                 progress=True,
                 submitter=submitter,
-                cache=Cache(cache),
+                cache=Cache(cache) if isolate else Memory(),
                 fresh=not resume,
                 out=out,
             ):
@@ -181,7 +192,7 @@ def score(
         print_scores(entries, explainers)
         where = f"{out / 'entries'}, leaderboard in {board} and {out / 'index.html'}"
         print(f"{counted(len(entries), 'entry')} in {where}.")
-    tables.exit_for_failures(failed, len(requests))
+    tables.exit_for_failures([*not_loaded, *failed], len(not_loaded) + len(requests))
 
 
 def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> None:

@@ -10,9 +10,11 @@ import typer
 
 from xmarl_bench.cli.options import (
     Address,
+    AnswerSeconds,
     Backend,
     CacheFolder,
     Episodes,
+    Isolate,
     Jobs,
     MaxCycles,
     Policies,
@@ -21,6 +23,7 @@ from xmarl_bench.cli.options import (
     Submitter,
     Timesteps,
 )
+from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
 
 
@@ -62,6 +65,8 @@ def study(
     address: Address = None,
     cache: CacheFolder = DEFAULT_FOLDER,
     resume: Resume = True,
+    isolate: Isolate = True,
+    answer_seconds: AnswerSeconds = UNLIMITED.answer_seconds,
     submitter: Submitter = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write; study/NAME or study/NAME-quick by default.")
@@ -72,6 +77,8 @@ def study(
     Finished pieces are kept in --cache and not computed again. A failure does not stop the rest, and is
     missing from the study. Exit code 1: something failed.
     """
+    from dataclasses import replace
+
     from xmarl_bench.cli import tables
     from xmarl_bench.counted import counted
     from xmarl_bench.papers.kailas2025.figures import check_matplotlib
@@ -82,7 +89,7 @@ def study(
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.files import locked, remove_leftovers
     from xmarl_bench.rollout.cell import Sampling
-    from xmarl_bench.scoring.cache import Cache
+    from xmarl_bench.scoring.cache import Cache, Memory
     from xmarl_bench.scoring.score import Failed, score_requests
 
     workers = Workers(jobs, backend, address)
@@ -93,7 +100,8 @@ def study(
     if quick:
         episodes, timesteps = QUICK.episodes, QUICK.timesteps
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
-    explainers = select_study_explainers(explainer)
+    limits = replace(UNLIMITED, answer_seconds=answer_seconds) if isolate else None
+    explainers, not_loaded = select_study_explainers(explainer, limits)
     requests = plan(chosen, policy, explainers, sampling, behaviour)
     Samples.check(request.card for request in requests)
     with locked(folder):
@@ -103,7 +111,7 @@ def study(
             workers=workers,
             progress=True,
             submitter=submitter,
-            cache=Cache(cache),
+            cache=Cache(cache) if isolate else Memory(),
             fresh=not resume,
             out=folder,
         )
@@ -121,4 +129,5 @@ def study(
         print(f"missing: {absent}")
     print(f"{counted(len(verdicts), 'statement')} of the paper: {by_verdict}.")
     print(f"{counted(len(pairs), 'entry')}; results.json, tables/, figures/ and tables.html in {folder}.")
-    tables.exit_for_failures([each for each in outcomes if isinstance(each, Failed)], len(requests))
+    failed = [each for each in outcomes if isinstance(each, Failed)]
+    tables.exit_for_failures([*not_loaded, *failed], len(not_loaded) + len(requests))

@@ -44,7 +44,7 @@ def log_progress(outcomes: Iterator[Outcome], total: int, every: float = 20.0) -
         yield outcome
 
 
-def exit_for_failures(failed: Sequence[Failed], total: int) -> None:
+def exit_for_failures(failed: Sequence[Failed | InputError], total: int) -> None:
     """If something failed, print it on stderr and exit with code 1.
 
     Raises InputError with the first error if everything failed.
@@ -52,7 +52,8 @@ def exit_for_failures(failed: Sequence[Failed], total: int) -> None:
     if not failed:
         return
     if len(failed) == total:
-        raise InputError(failed[0].error)
+        first = failed[0]
+        raise first if isinstance(first, InputError) else InputError(first.error)
     for each in failed:
         print(f"failed: {each}", file=sys.stderr)
     print(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from xmarl_bench.cli.options import Address, AsJson, Backend, Jobs
+from xmarl_bench.cli.options import Address, AnswerSeconds, AsJson, Backend, Jobs
 from xmarl_bench.cli.validate import Paths
 
 
@@ -41,8 +41,9 @@ def verify(
             "--trust-code", help="Run the code of third-party explainers, in a process with limits."
         ),
     ] = False,
-    cpu_seconds: Annotated[int, typer.Option(help="CPU time of such a process.")] = 3600,
-    memory: Annotated[float, typer.Option(help="Address space of such a process, in GiB.")] = 8.0,
+    cpu_seconds: Annotated[int, typer.Option(help="CPU time of all such processes together.")] = 3600,
+    memory: Annotated[float, typer.Option(help="Memory of all such processes together, in GiB.")] = 8.0,
+    answer_seconds: AnswerSeconds = 900.0,
     by: Annotated[
         str | None, typer.Option(help="Sign entries that pass, with this name in their verification block.")
     ] = None,
@@ -72,20 +73,20 @@ def verify(
     from xmarl_bench.cli import tables
     from xmarl_bench.entry.file import write_entry
     from xmarl_bench.errors import InputError, unknown
+    from xmarl_bench.isolation.limits import Limits
     from xmarl_bench.parallel.fan_out import Failure
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.strict_json import printable
     from xmarl_bench.submission.batch import Unit, verify_all
     from xmarl_bench.submission.checking import check
-    from xmarl_bench.submission.limits import Limits
     from xmarl_bench.submission.verification import Options, Tier, is_signed, lines, signed
 
     if tier not in list(Tier):
         raise unknown("tier", tier, Tier)
     if resume and by is None:
         raise InputError("--resume skips the entries that --by has signed: give --by.")
-    limits = Limits(cpu_seconds=cpu_seconds, memory_bytes=int(memory * 2**30))
-    options = Options(Tier(tier), episodes, seed, explainer, trust_code, limits, fresh_from)
+    limits = Limits(cpu_seconds=cpu_seconds, memory_bytes=int(memory * 2**30), answer_seconds=answer_seconds)
+    options = Options(Tier(tier), episodes, seed, explainer, trust_code, limits, fresh_from=fresh_from)
     workers = Workers(jobs, backend, address)
     code, places, units, n_skipped = 0, [], [], 0
     for path in paths:
@@ -122,7 +123,11 @@ def verify(
         if verdict.findings:
             code = max(code, 1)
         elif by is not None:
-            write_entry(folder, signed(verdict, by, folder))
+            try:
+                write_entry(folder, signed(verdict, by, folder))
+            except InputError as error:
+                print(f"xmarl-bench: {error}", file=sys.stderr)
+                code = 2
         if not as_json:
             print("\n".join(lines(path, file, verdict)), flush=True)
     if as_json:

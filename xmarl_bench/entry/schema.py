@@ -89,6 +89,8 @@ class ExplainerRecord(Record):
     code: Text | None = None  # link to its code
     paper: Link | None = left_out()  # link to its paper
     code_sha256: Sha256 | None = None  # of the file that it was loaded from
+    # False: third-party code that ran in the process that measured, for debugging. None: all others.
+    isolated: Literal[False] | None = left_out()
 
 
 class TaskRecord(Record):

@@ -46,6 +46,22 @@ class Explain(Protocol):
         """
 
 
+class Elsewhere(Protocol):
+    """An explainer in a process of its own, which does there what `run_explainer` and `fit_explainer` do."""
+
+    @property
+    def key(self) -> str:
+        """What its code and declarations are hashed to."""
+
+    def explain(
+        self, policy: Policy, observations: Tensor, seed: int, simulator: Simulator | None, /
+    ) -> Tensor:
+        """(S, N, D) -> (S, N, N): the mask, in [0, 1] unless it is wrong."""
+
+    def fit(self, policy: Policy, observations: Tensor, seed: int, /) -> Elsewhere:
+        """The explainer fitted to the policy on (S, N, D) observations."""
+
+
 # (policy, observations (S, N, D) that no score uses, generator) -> what explains this policy.
 Fit = Callable[[Policy, Tensor, torch.Generator], "Explain | Simulated"]
 
@@ -84,6 +100,8 @@ class Explainer:
     simulator: Simulator | None = field(default=None, compare=False, repr=False)  # of the episode explained
     # Set if it was found by name; None for an object passed in Python, see `origin_of_explainer`.
     origin: Origin | None = field(default=None, compare=False, repr=False)
+    # What asks it, if it runs in a process of its own; None: it runs in this process.
+    elsewhere: Elsewhere | None = field(default=None, compare=False, repr=False)
 
     @property
     def simulates(self) -> bool:
@@ -99,7 +117,11 @@ def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
     settings that PyG's algorithms keep on their class. Raises InputError, naming the explainer, if it fails.
     """
     n_steps, n_agents, _ = observations.shape
-    returned = returned_by(explainer, policy, observations, seed)
+    if explainer.elsewhere is None:
+        returned = returned_by(explainer, policy, observations, seed)
+    else:
+        returned = explainer.elsewhere.explain(policy, observations, seed, explainer.simulator)
+        explainer = replace(explainer, signed=False)  # its process has mapped it to [0, 1]
     mask = mask_of_explainer(explainer, returned, n_steps, n_agents)
     adjacency = policy.adjacency(observations)
     return mask if adjacency is None else mask * adjacency  # 0 where the graph has no edge
@@ -138,6 +160,9 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
     fit = explainer.fit
     if fit is None:
         return explainer
+    if explainer.elsewhere is not None:
+        elsewhere = explainer.elsewhere.fit(policy, observations, seed)
+        return replace(explainer, elsewhere=elsewhere, fitted_on=observations)
     fitted = _guarded(
         explainer,
         seed,

@@ -74,7 +74,7 @@ def check_reference(reference: str) -> None:
         raise InputError(
             f"{reference!r} is not a reference to an object: give path/to/file.py:Name or module:Name."
         )
-    if _is_file(place):
+    if is_file(place):
         _source(Path(place))
 
 
@@ -86,19 +86,16 @@ def load_reference(reference: str) -> tuple[Any, Origin]:
     """
     check_reference(reference)
     place, _, name = reference.rpartition(":")
-    sha256 = None
-    is_file = _is_file(place)
-    if is_file:
-        module, sha256 = _import_file(Path(place), reference)
-    else:
-        module = _import_module(place, reference)
+    file = Path(place) if is_file(place) else None
+    origin = None if file is None else origin_of_file(file, name)  # before its code runs
+    module = _import_module(place, reference) if file is None else _import_file(file, reference)
     found: Any = module
     for part in name.split("."):
         if not hasattr(found, part):
             raise InputError(f"{place} has no {name!r}: give one of {', '.join(_public(module)) or 'none'}.")
         found = getattr(found, part)
-    if is_file:
-        return found, Origin(None, None, f"{Path(place).name}:{name}", sha256)
+    if origin is not None:
+        return found, origin
     distribution = distribution_of(place)
     version = None if distribution is None else package_version(distribution)
     return found, Origin(distribution, version, f"{place}:{name}", None if distribution else _of_file(module))
@@ -121,7 +118,13 @@ def origin_of(found: object) -> Origin:
     return Origin(None, None, where, None if source is None else hashlib.sha256(source).hexdigest())
 
 
-def _is_file(place: str) -> bool:
+def origin_of_file(path: Path, name: str) -> Origin:
+    """The origin of an object in a file, which does not run. Raises InputError if it cannot be read."""
+    return Origin(None, None, f"{path.name}:{name}", hashlib.sha256(_source(path)).hexdigest())
+
+
+def is_file(place: str) -> bool:
+    """Whether the first part of a reference names a file, and not a module."""
     return place.endswith(".py") or len(Path(place).parts) > 1
 
 
@@ -132,15 +135,13 @@ def _source(path: Path) -> bytes:
         raise InputError(f"{path} cannot be read ({error.strerror}): give path/to/file.py:Name.") from None
 
 
-def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
+def _import_file(path: Path, reference: str) -> ModuleType:
     """Import a file as a module whose name includes the hash of its content.
 
     It can import modules beside it, as a script can. All of them are read anew each time, and pickled by
     value for worker processes.
     """
-    source = _source(path)
-    sha256 = hashlib.sha256(source).hexdigest()
-    name = f"{path.stem}_{sha256[:12]}"
+    name = f"{path.stem}_{hashlib.sha256(_source(path)).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError(f"{path} is not a Python file: give path/to/file.py:Name.")
@@ -153,7 +154,7 @@ def _import_file(path: Path, reference: str) -> tuple[ModuleType, str]:
         del sys.modules[name]
         raise _failed(reference, error) from error
     register_pickle_by_value(module)
-    return module, sha256
+    return module
 
 
 @contextmanager

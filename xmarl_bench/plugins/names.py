@@ -3,7 +3,8 @@
 Explainers: entry points in group `xmarl_bench.explainers`, name -> an `Explainer` of the same name, or
 anything that `as_explainer` accepts. Policies: entry points in group `xmarl_bench.policies`, each -> a
 function without arguments that returns {policy name: folder of its bundle, or a function without arguments
-that returns a `PolicyModule`}; only the first of these functions runs here.
+that returns a `PolicyModule`}; the first of these functions runs here if we ship it, else in a process of
+its own, and the second nowhere.
 """
 
 from __future__ import annotations
@@ -15,10 +16,13 @@ from pathlib import Path
 
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.explain.control_names import SUMMARIES as CONTROL_NAMES
+from xmarl_bench.isolation.limits import UNLIMITED
+from xmarl_bench.isolation.process import Stranger
 from xmarl_bench.origin.plugins import load_plugin, plugin_error
 from xmarl_bench.origin.references import check_named, is_reference
 from xmarl_bench.policy.untrusted import CARD
 
+OURS = "xmarl-bench"  # the distribution whose code runs in the harness's process
 EXPLAINERS, POLICIES = "xmarl_bench.explainers", "xmarl_bench.policies"
 
 
@@ -27,7 +31,6 @@ class PolicyCode:
     """A policy that an installed package makes by running its code."""
 
     plugin: EntryPoint
-    factory: Callable[[], object]
 
     def __str__(self) -> str:
         return self.plugin.value
@@ -36,6 +39,14 @@ class PolicyCode:
 def explainer_names() -> list[str]:
     """Controls first, then plugins by name. Loads nothing."""
     return [*CONTROL_NAMES, *sorted(explainer_plugins())]
+
+
+def is_shipped(name: str) -> bool:
+    """Whether the explainer of that name is a control, or of this distribution. Loads nothing."""
+    if name in CONTROL_NAMES:
+        return True
+    registered = entry_points(group=EXPLAINERS, name=name)
+    return bool(registered) and all(each.dist is not None and each.dist.name == OURS for each in registered)
 
 
 def explainer_plugin(name: str) -> EntryPoint:
@@ -138,11 +149,27 @@ def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError
 
 
 def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
+    """The policies of a plugin, which is loaded in a process of its own if another package registered it."""
+    if plugin.dist is None or plugin.dist.name == OURS:
+        places = places_of_plugin(plugin)
+        return {
+            name: place if isinstance(place, Path) else PolicyCode(plugin) for name, place in places.items()
+        }
+    with Stranger(f"plugin {plugin.name!r} ({plugin.value})", UNLIMITED, "process") as process:
+        plain = plugin.name, plugin.value, plugin.group
+        listed, _ = process.ask({"what": "policies", "plugin": plain})
+    folders, code = listed.get("folders"), listed.get("code")
+    if not isinstance(folders, dict) or not isinstance(code, list):
+        raise InputError(f"policy plugin {plugin.name!r} lists no policies: correct or uninstall it.")
+    return {str(name): Path(str(folder)) for name, folder in folders.items()} | {
+        str(name): PolicyCode(plugin) for name in code
+    }
+
+
+def places_of_plugin(plugin: EntryPoint) -> dict[str, Path | Callable[[], object]]:
+    """Folders of bundles and factories of policies, by name. Runs the plugin. Raises InputError."""
     listed = load_plugin(plugin)
     try:
-        return {
-            str(name): PolicyCode(plugin, place) if callable(place) else Path(place)
-            for name, place in listed().items()
-        }
+        return {str(name): place if callable(place) else Path(place) for name, place in listed().items()}
     except (Exception, SystemExit) as error:
         raise plugin_error(plugin, error) from error

@@ -1,6 +1,7 @@
 """Loads policies and explainers by the names that xmarl_bench.plugins.names lists, or by reference to code.
 
-A plugin that fails to load raises an error with its name.
+`ask_explainer` loads explainers that are not shipped in a process of their own. A plugin that fails to load
+raises an error with its name.
 """
 
 from __future__ import annotations
@@ -12,11 +13,20 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.isolation.explainers import Isolation, find_elsewhere, isolate
 from xmarl_bench.origin.installed import package_version
 from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin
-from xmarl_bench.origin.references import Origin, check_named, is_reference, load_reference
-from xmarl_bench.plugins.names import explainer_plugin, place_of
+from xmarl_bench.origin.references import (
+    Origin,
+    check_named,
+    is_file,
+    is_reference,
+    load_reference,
+    origin_of_file,
+)
+from xmarl_bench.plugins.names import explainer_plugin, is_shipped, place_of, places_of_plugin
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
+from xmarl_bench.policy.device import CPU
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.records.field_types import is_file_name
 
@@ -49,6 +59,40 @@ def find_explainer(name: str) -> Explainer:
     return checked_name(replace(explainer, origin=origin))
 
 
+def ask_explainer(name: str, isolation: Isolation = Isolation()) -> Explainer:  # noqa: B008
+    """As `find_explainer`, but one that is not shipped is loaded and asked in a process of its own.
+
+    Raises InputError as `find_explainer` does, and if the process fails.
+    """
+    check_named(name)
+    if is_shipped(name):
+        return find_explainer(name)
+    origin, readable = None, list[Path]()
+    place, _, of_place = name.rpartition(":")
+    if not is_reference(name):
+        origin = origin_of_plugin(explainer_plugin(name))
+    elif is_file(place):
+        file = Path(place).resolve()
+        name, readable, origin = f"{file}:{of_place}", [file], origin_of_file(file, of_place)
+    found = find_elsewhere(name, origin, readable, isolation)
+    if not is_reference(name) and found.name != name:
+        raise InputError(f"explainer plugin {name!r} calls itself {found.name!r}: use one name for both.")
+    return checked_name(found)
+
+
+def isolated(explainer: Explainer, isolation: Isolation = Isolation()) -> Explainer:  # noqa: B008
+    """An explainer made in Python, asked in a process of its own unless it is a shipped one."""
+    if explainer.elsewhere is not None or is_shipped_code(explainer):
+        return explainer
+    return isolate(explainer, isolation)
+
+
+def is_shipped_code(explainer: Explainer) -> bool:
+    """Whether the explainer is the shipped one of its name."""
+    anywhere = replace(explainer, device=CPU)
+    return is_shipped(explainer.name) and find_explainer(explainer.name) == anywhere
+
+
 def checked_name(explainer: Explainer) -> Explainer:
     """The explainer. Raises InputError if its name is unsafe in file names or that of a control."""
     name = explainer.name
@@ -71,12 +115,14 @@ def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyC
     if place is None:
         factory, origin = load_reference(name)
         return _made(factory, name).open(origin)
-    code, made = place.factory, _made(place.factory, name)
+    code = places_of_plugin(place.plugin).get(name)
+    made = _made(code, name)
     if made.name != name:
         raise InputError(
             f"policy plugin {name!r} ({place}) calls itself {made.name!r}: use one name for both."
         )
-    where = f"{code.__module__}:{code.__qualname__}" if hasattr(code, "__qualname__") else None
+    named = getattr(code, "__qualname__", None)
+    where = None if named is None else f"{code.__module__}:{named}"
     return made.open(origin_of_plugin(place.plugin, where))
 
 

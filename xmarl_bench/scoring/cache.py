@@ -113,5 +113,28 @@ class Cache:
         return (self.folder / "CACHEDIR.TAG").is_file()
 
 
+class Memory(Cache):
+    """Pieces in memory, which no other process can read or change: of runs that keep nothing."""
+
+    def __init__(self) -> None:
+        super().__init__(Path("memory"))
+        self._pieces: dict[str, bytes] = {}
+
+    def prepare(self) -> None:
+        """Nothing to prepare."""
+
+    def read(self, key: str) -> bytes | None:
+        return self._pieces.get(key)
+
+    def write(self, key: str, value: bytes) -> None:
+        self._pieces[key] = value
+
+    def remove(self, key: str) -> None:
+        self._pieces.pop(key, None)
+
+    def fail(self, key: str, error: str) -> None:
+        """Errors are not kept."""
+
+
 def _digest(value: bytes) -> bytes:
     return hashlib.sha256(value).hexdigest().encode()

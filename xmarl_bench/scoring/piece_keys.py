@@ -20,12 +20,12 @@ import torch
 
 from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.origin.code_hash import harness_sources, object_sha256, sources_sha256
 from xmarl_bench.origin.installed import package_version
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.scoring.cache import VERSION_DIGITS
-from xmarl_bench.scoring.code_hash import harness_sources, object_sha256, sources_sha256
 from xmarl_bench.scoring.task_record import task_record
 
 PACKAGES = ("captum", "numpy", "pymunk", "torch", "torch-geometric")
@@ -81,9 +81,15 @@ def _policy_key(policy: Policy, card: PolicyCard) -> str:
 
 
 def _explainer_key(explainer: Explainer) -> str:
-    """Key of an explainer's declarations, origin and code, independent of its summary."""
-    origin = origin_of_explainer(explainer)
-    code = _code_key(replace(explainer, summary="", origin=None))
+    """Key of an explainer's declarations, origin and code, independent of its summary.
+
+    One in a process of its own shares no key with those that run in the harness's.
+    """
+    origin, elsewhere = origin_of_explainer(explainer), explainer.elsewhere
+    if elsewhere is None:
+        code = _code_key(replace(explainer, summary="", origin=None))
+    else:
+        code = f"elsewhere {elsewhere.key}"
     return _sha256([origin.distribution, origin.version, origin.entry_point, origin.code_sha256, code])
 
 

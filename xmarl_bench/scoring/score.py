@@ -6,10 +6,8 @@ episodes, and whether its pieces come from one run or several.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +19,24 @@ from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER
 from xmarl_bench.explain.explainer import Explainer, on_device
 from xmarl_bench.explain.simulated import SIMULATOR
+from xmarl_bench.isolation.explainers import Isolation, end_strangers
+from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
-from xmarl_bench.plugins.registry import checked_name, find_explainer, open_policy
+from xmarl_bench.plugins.registry import (
+    ask_explainer,
+    checked_name,
+    find_explainer,
+    is_shipped_code,
+    isolated,
+    open_policy,
+)
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy.device import CPU
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.reproducible import torch_defaults
 from xmarl_bench.rollout.cell import Cell, Sampling, check_parallel
-from xmarl_bench.scoring.cache import Cache
+from xmarl_bench.scoring.cache import Cache, Memory
 from xmarl_bench.scoring.cell_result import Controls, cell_result, total_cost
 from xmarl_bench.scoring.piece_keys import Keys
 from xmarl_bench.scoring.pieces import Plan
@@ -71,6 +78,8 @@ def score(
     submitter: str | None = None,
     trust_code: bool = False,
     cache: Path | None = None,
+    isolate: bool = True,
+    answer_seconds: float = UNLIMITED.answer_seconds,
 ) -> Entry:
     """Score one explainer on one policy in one cell.
 
@@ -90,6 +99,9 @@ def score(
         parallel_episodes: episodes stepped in parallel in a process.
         trust_code: run the code of policy and task, if they have their own.
         cache: folder of the cache, see `Cache`; by default nothing is kept.
+        isolate: run an explainer that is not shipped in a process of its own. False: in this process, for
+            debugging; then the entry says so and nothing is kept.
+        answer_seconds: wall-clock time in which such a process must answer for an episode.
 
     The caller's settings of torch (default dtype and device, autocast, inference mode) have no effect. Raises
     InputError if an argument is invalid or the explainer fails.
@@ -101,11 +113,14 @@ def score(
         network, card = policy.open(origin_of(policy.network))
     else:
         network, card = policy
+    isolation = Isolation(replace(UNLIMITED, answer_seconds=answer_seconds))
     if isinstance(explainer, str):
-        chosen = find_explainer(explainer)
+        chosen = ask_explainer(explainer, isolation) if isolate else find_explainer(explainer)
+        chosen = on_device(chosen, device)
     else:
         chosen = checked_name(as_explainer(explainer))
-    chosen = on_device(chosen, device)
+        chosen = on_device(chosen, device)  # before it is sent to its process
+        chosen = isolated(chosen, isolation) if isolate else chosen
     if where is None:
         where = open_task(card.task, trust_code=trust_code).name
     cell = Cell(where, card.n_agents if n_agents is None else n_agents)
@@ -117,9 +132,12 @@ def score(
         parallel_episodes=parallel_episodes,
         progress=progress,
         submitter=submitter,
-        cache=None if cache is None else Cache(cache),
+        cache=None if cache is None or not isolate else Cache(cache),
     )
-    return next(entries_of(outcomes))
+    try:
+        return next(entries_of(outcomes))
+    finally:
+        end_strangers()
 
 
 def score_requests(
@@ -135,35 +153,32 @@ def score_requests(
 ) -> Iterator[Entry | Failed]:
     """Yield an entry per request, in order, each as soon as it is complete; or why the request failed.
 
-    cache: where pieces are read and kept, a temporary one by default. fresh: compute pieces again that it
+    cache: where pieces are read and kept, in memory by default. fresh: compute pieces again that it
     holds. out: folder of the entries, for `xmarl-bench status`. Raises InputError before anything is yielded
-    if an explainer works on no policy at all, if two explainers share a name, or if results cannot be
-    written.
+    if no explainer works on any policy, if two explainers share a name, or if results cannot be written.
     """
     check_parallel(parallel_episodes)
     explainers, started = _by_name(requests), now()
-    with ExitStack() as stack:
-        if cache is None:
-            cache = Cache(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="xmarl-bench-"))))
-        cache.prepare()
-        keys = Keys()
-        plans = [Plan.of(request, keys) for request in requests]
-        if fresh:
-            for key in {key for plan in plans for key in plan.piece_keys}:
-                cache.remove(key)
-        if out is not None:
-            RunRecord.of(plans, out, started).write(cache)
-        results, controls = Results(cache), Controls()
-        sweep = Sweep(results, explainers, workers, parallel_episodes, progress)
-        settled = sweep.compute(piece for plan in plans for piece in plan)
-        for plan in plans:
-            while not sweep.unsettled.isdisjoint(plan.piece_keys):
-                next(settled)
-            error = next((sweep.errors[piece.key] for piece in plan if piece.key in sweep.errors), None)
-            if error is not None:
-                yield Failed(plan.request, error)
-                continue
-            yield _entry(plan, results, controls, started, workers.jobs or 1, submitter)
+    cache = Memory() if cache is None else cache
+    cache.prepare()
+    keys = Keys()
+    plans = [Plan.of(request, keys) for request in requests]
+    if fresh:
+        for key in {key for plan in plans for key in plan.piece_keys}:
+            cache.remove(key)
+    if out is not None and not isinstance(cache, Memory):
+        RunRecord.of(plans, out, started).write(cache)
+    results, controls = Results(cache), Controls()
+    sweep = Sweep(results, explainers, workers, parallel_episodes, progress)
+    settled = sweep.compute(piece for plan in plans for piece in plan)
+    for plan in plans:
+        while not sweep.unsettled.isdisjoint(plan.piece_keys):
+            next(settled)
+        error = next((sweep.errors[piece.key] for piece in plan if piece.key in sweep.errors), None)
+        if error is not None:
+            yield Failed(plan.request, error)
+            continue
+        yield _entry(plan, results, controls, started, workers.jobs or 1, submitter)
 
 
 def entries_of(outcomes: Iterable[Entry | Failed]) -> Iterator[Entry]:
@@ -246,4 +261,5 @@ def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:
         needs_fit=explainer.fit is not None,
         accesses=SIMULATOR if explainer.simulates else explainer.accesses,
         code_sha256=origin.code_sha256,
+        isolated=None if explainer.elsewhere is not None or is_shipped_code(explainer) else False,
     )

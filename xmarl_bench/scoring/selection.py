@@ -25,6 +25,7 @@ from xmarl_bench.tasks.sources import open_task
 
 if TYPE_CHECKING:
     from xmarl_bench.explain.explainer import Explainer
+    from xmarl_bench.isolation.limits import Limits
     from xmarl_bench.policy import Policy
 
     Opened = tuple[Policy, PolicyCard]
@@ -186,11 +187,27 @@ def explainers_meant(names: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def select_explainers(names: Sequence[str]) -> list[Explainer]:
-    """The explainers that `explainers_meant` means, loaded."""
-    from xmarl_bench.plugins.registry import find_explainer  # imports torch
+def select_explainers(
+    names: Sequence[str], limits: Limits | None = None
+) -> tuple[list[Explainer], list[InputError]]:
+    """The explainers that `explainers_meant` means, loaded, and the errors of those that do not load.
 
-    return [find_explainer(name) for name in explainers_meant(names)]
+    limits: of the processes of explainers that are not shipped; None: all run in this process. Raises
+    InputError if none loads.
+    """
+    from xmarl_bench.isolation.explainers import Isolation  # imports torch
+    from xmarl_bench.plugins.registry import ask_explainer, find_explainer
+
+    found: list[Explainer] = []
+    failures: list[InputError] = []
+    for name in explainers_meant(names):
+        try:
+            found.append(find_explainer(name) if limits is None else ask_explainer(name, Isolation(limits)))
+        except InputError as error:
+            failures.append(error)
+    if failures and not found:
+        raise failures[0]
+    return found, failures
 
 
 def _sizes(agents: Sequence[str]) -> list[int] | None:

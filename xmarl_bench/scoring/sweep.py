@@ -70,8 +70,8 @@ class Sweep:
     def compute(self, pieces: Iterable[Piece]) -> Iterator[Piece]:
         """Yield each missing piece once it is settled: written to the cache, or in `errors`.
 
-        Raises InputError before anything is explained if an explainer works on no policy at all, and if the
-        cache cannot be written.
+        Raises InputError before anything is explained if no explainer works on any policy, and if the cache
+        cannot be written.
         """
         missing = dict[str, Piece]()
         for piece in pieces:
@@ -118,15 +118,19 @@ class Sweep:
         return PolicyPayload(rollout, environment.policy)
 
     def _make_ready(self, pieces: Sequence[Piece]) -> Iterator[Piece]:
-        """Fit explainers that need it, and try each explainer on one timestep of policies until it works."""
+        """Fit explainers that need it, and try each explainer on one timestep of policies until it works.
+
+        An explainer that works nowhere is settled by its errors. Raises InputError if none works anywhere.
+        """
         environments: dict[str, dict[Environment, list[Piece]]] = {}
         for piece in pieces:
             if piece.explainer is not None:
                 environments.setdefault(piece.explainer, {}).setdefault(piece.block.environment, []).append(
                     piece
                 )
+        any_works, reasons = False, list[InputError]()
         for name, its_environments in environments.items():
-            works, reasons = name in self.proven, []
+            works = name in self.proven
             for environment, its_pieces in its_environments.items():
                 try:
                     self._fit(name, environment)
@@ -135,12 +139,12 @@ class Sweep:
                     reasons.append(error)
                     for piece in its_pieces:
                         self.errors[piece.key] = str(error)
-            if reasons and not works:
-                raise reasons[0]
-            for its_pieces in its_environments.values():
-                for piece in its_pieces:
-                    if piece.key in self.errors:
-                        yield self._settle(piece, InputError(self.errors[piece.key]))
+            any_works = any_works or works
+        if reasons and not any_works:
+            raise reasons[0]
+        for piece in pieces:
+            if piece.key in self.errors:
+                yield self._settle(piece, InputError(self.errors[piece.key]))
 
     def _fit(self, name: str, environment: Environment) -> None:
         self._ready[environment, name] = fitted(

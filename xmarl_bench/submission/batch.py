@@ -17,6 +17,7 @@ from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.parallel.calls import Failure, attempt
 from xmarl_bench.parallel.fan_out import fan_out
 from xmarl_bench.parallel.workers import Workers
+from xmarl_bench.plugins.names import is_shipped
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import Failed, score_requests
 from xmarl_bench.submission.checking import Checked
@@ -26,7 +27,6 @@ from xmarl_bench.submission.verification import (
     Options,
     Tier,
     Verdict,
-    is_ours,
     other_weights,
     our_explainer,
     policy_of,
@@ -54,7 +54,7 @@ def verify_all(units: Sequence[Unit], options: Options, workers: Workers) -> Ite
     together: dict[tuple[Path | None, str, str], list[int]] = {}
     alone: list[int] = []
     for k, unit in enumerate(units):
-        if options.tier is Tier.full and options.explainer is None and is_ours(unit.entry.explainer.name):
+        if options.tier is Tier.full and options.explainer is None and is_shipped(unit.entry.explainer.name):
             policy = unit.entry.policy
             bundle = unit.checked.path if policy.name in unit.checked.policies else None
             together.setdefault((bundle, policy.name, policy.weights_sha256), []).append(k)
@@ -97,7 +97,7 @@ def _of_one_policy(units: dict[int, Unit], workers: Workers) -> Iterator[Outcome
         else:
             requests[k] = found
     flat = [each for its in requests.values() for each in its]
-    outcomes = score_requests(flat, workers=workers, progress=True)  # in a temporary cache
+    outcomes = score_requests(flat, workers=workers, progress=True)
     for k, its in requests.items():
         again = [next(outcomes) for _ in its]
         failed = next((each for each in again if isinstance(each, Failed)), None)

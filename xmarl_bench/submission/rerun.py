@@ -33,7 +33,7 @@ from xmarl_bench.submission.consistency import lacks
 from xmarl_bench.submission.recompute import Difference, summaries
 
 # Fields of an explainer's record that may differ: they tell where it was found, not what it is.
-WHERE = ("seed", "code", "paper", "distribution", "version", "entry_point", "code_sha256")
+WHERE = ("seed", "code", "paper", "distribution", "version", "entry_point", "code_sha256", "isolated")
 
 
 @dataclass
@@ -63,7 +63,7 @@ def rerun(
     Raises InputError if policy, explainer and cells do not fit, or if the explainer fails.
     """
     requests = requests_of(entry, policy, card, explainer)
-    if episodes is None:  # with a temporary cache, so that everything is computed
+    if episodes is None:  # without a cache: everything is computed
         return compared(entry, list(entries_of(score_requests(requests))))
     result = Rerun()
     for k, (cell, request) in enumerate(zip(entry.results, requests, strict=True)):

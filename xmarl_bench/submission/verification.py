@@ -6,10 +6,8 @@ Verification changes no measured value, and the block is not part of the entry's
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +17,16 @@ from xmarl_bench.entry.file import read_entry
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.provenance import commit_of_harness, now
-from xmarl_bench.entry.schema import Entry, ExplainerRecord, Verification
+from xmarl_bench.entry.schema import Entry, Verification
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.isolation.explainers import Isolation, end_strangers
+from xmarl_bench.isolation.limits import Limits
+from xmarl_bench.isolation.walls import SIGNED, Wall, strongest
 from xmarl_bench.metrics.table import by_name
 from xmarl_bench.origin.installed import package_version
-from xmarl_bench.origin.references import Origin
-from xmarl_bench.plugins.names import EXPLAINERS, find_policy
-from xmarl_bench.plugins.registry import find_explainer
+from xmarl_bench.plugins.names import find_policy, is_shipped
+from xmarl_bench.plugins.registry import ask_explainer, find_explainer
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.records.strict_json import printable, shown
 from xmarl_bench.reproducible import fresh_seeds
@@ -35,13 +34,15 @@ from xmarl_bench.scoring.score import explainer_record
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
 from xmarl_bench.submission.consistency import CLOSE
 from xmarl_bench.submission.fresh import Fresh, score_fresh
-from xmarl_bench.submission.limits import Limits
 from xmarl_bench.submission.recompute import Difference
 from xmarl_bench.submission.rerun import Rerun, record_findings, rerun
-from xmarl_bench.submission.sandbox import Sandbox
 from xmarl_bench.submission.tolerance import AGGREGATES, Platform, agrees, disagreeing, is_same_platform
 
-OURS = "xmarl-bench"  # the distribution whose explainers are trusted
+WALLS: dict[Wall, str] = {
+    "bubblewrap": "bubblewrap",
+    "landlock": "Landlock and seccomp",
+    "process": "no wall",
+}
 
 
 class Tier(StrEnum):
@@ -70,6 +71,7 @@ class Options:
     explainer: str | None = None  # replaces the name in the entry: module:Name or file.py:Name
     trust_code: bool = False
     limits: Limits = field(default_factory=Limits)
+    wall: Wall | None = None  # around third-party code; None: the strongest that works here
     fresh_from: str | None = None  # fixed after the submission, for fresh
 
     def __post_init__(self) -> None:
@@ -95,6 +97,7 @@ class Verdict:
     max_abs_diff: float | None  # of all numbers compared; None if only one of two numbers is null
     findings: tuple[str, ...]
     fresh: Fresh | None = None  # of fresh alone
+    wall: Wall | None = None  # what third-party code ran behind; None: none ran
 
     def record(self, path: str, file: str) -> dict[str, object]:
         """The verdict for JSON."""
@@ -107,24 +110,31 @@ class Verdict:
             "bitwise": self.bitwise,
             "episodes": self.episodes,
             "max_abs_diff": self.max_abs_diff,
+            "wall": self.wall,
             "findings": list(self.findings),
             "fresh": None if self.fresh is None else self.fresh.record(),
         }
 
     def block(self, by: str, before: Verification | None = None) -> Verification:
-        """The verification block, signed by `by`. Raises InputError if the entry failed or `by` is empty.
+        """The verification block, signed by `by`.
 
+        Raises InputError if the entry failed, if `by` is empty, and if third-party code ran behind no wall.
         before: the block to replace or add to, by default the entry's own.
         """
         if self.findings:
             raise InputError(f"the entry failed verification and cannot be signed: {self.findings[0]}")
         if not by.strip():
             raise InputError("the name that signs the entry is empty: give one with --by.")
+        if self.wall not in (None, *SIGNED):
+            raise InputError(
+                f"third-party code ran behind no wall here and could have changed what was measured: install "
+                f"bubblewrap, or verify where the kernel has Landlock, to sign {self.entry.file_name}."
+            )
         before, here = before or self.entry.verification, Platform.here()
         commit, dirty = commit_of_harness()
         fresh = before.fresh if self.fresh is None else self.fresh.block(by)
         if self.fresh is not None and before.status != "unverified":
-            return before.model_copy(update={"fresh": fresh})
+            return before.model_copy(update={"fresh": fresh, "wall": self.wall or before.wall})
         return Verification.model_validate(
             {
                 "status": STATUS[self.tier],
@@ -139,6 +149,7 @@ class Verdict:
                 "bitwise": self.bitwise,
                 "max_abs_diff": self.max_abs_diff,
                 "fresh": fresh,
+                "wall": self.wall,
             }
         )
 
@@ -171,17 +182,20 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
         if options.tier is Tier.recompute or found:
             return recomputed
     rng = np.random.default_rng(options.seed)
-    with ExitStack() as stack:
-        policy, card = policy_of(checked, entry)
-        explainer, findings = _explainer(entry, options, stack)
+    policy, card = policy_of(checked, entry)
+    try:
+        explainer, findings, wall = _explainer(entry, options)
         findings += other_weights(entry, card)
         if findings:
-            return Verdict(entry, options.tier, bitwise, 0, None, tuple(findings))
+            return Verdict(entry, options.tier, bitwise, 0, None, tuple(findings), wall=wall)
         if options.fresh_from is not None:
-            return replace(recomputed, fresh=score_fresh(entry, policy, card, explainer, options.fresh_from))
+            fresh = score_fresh(entry, policy, card, explainer, options.fresh_from)
+            return replace(recomputed, fresh=fresh, wall=wall)
         episodes = None if options.tier is Tier.full else options.episodes
         again = rerun(entry, policy, card, explainer, episodes=episodes, rng=rng)
-    return verdict_of(entry, options.tier, again)
+    finally:
+        end_strangers()
+    return replace(verdict_of(entry, options.tier, again), wall=wall)
 
 
 def verdict_of(entry: Entry, tier: Tier, again: Rerun) -> Verdict:
@@ -232,42 +246,25 @@ def other_weights(entry: Entry, card: PolicyCard) -> list[str]:
     return [f"the installed policy {entry.policy.name!r} has other weights than the entry's."]
 
 
-def _explainer(entry: Entry, options: Options, stack: ExitStack) -> tuple[Explainer, list[str]]:
-    """The explainer to run, in a sandbox unless it is ours, and where it disagrees with the entry."""
+def _explainer(entry: Entry, options: Options) -> tuple[Explainer, list[str], Wall | None]:
+    """The explainer to run, where it disagrees with the entry, and its wall; None if it is shipped."""
     name = entry.explainer.name if options.explainer is None else options.explainer
-    if options.explainer is None and is_ours(name):
-        return our_explainer(entry)
+    if options.explainer is None and is_shipped(name):
+        return *our_explainer(entry), None
     if not options.trust_code:
         raise InputError(
             f"explainer {shown(name)} is third-party code: read it, then add --trust-code to run it in a "
             f"sandbox."
         )
-    sandbox = stack.enter_context(Sandbox(name, options.limits))
-    declared = ExplainerRecord.model_validate(sandbox.start(), strict=False)
-    explainer = Explainer(
-        name=declared.name,
-        explain=sandbox.explains(),
-        stochastic=declared.stochastic,
-        binary=declared.binary,
-        hyperparameters=declared.hyperparameters,
-        fit=sandbox.fit if declared.needs_fit else None,
-        origin=Origin(declared.distribution, declared.version, declared.entry_point),
-    )
-    return explainer, list(record_findings(entry.explainer, declared))
+    wall = options.wall or strongest()
+    found = ask_explainer(name, Isolation(options.limits, wall))
+    return found, list(record_findings(entry.explainer, explainer_record(found, 0))), wall
 
 
 def our_explainer(entry: Entry) -> tuple[Explainer, list[str]]:
     """The shipped explainer of the entry's name, and where it disagrees with the entry."""
     ours = find_explainer(entry.explainer.name)
     return ours, list(record_findings(entry.explainer, explainer_record(ours, 0)))
-
-
-def is_ours(name: str) -> bool:
-    """Whether this distribution registers the explainer. Loads no third-party package."""
-    if name in CONTROLS:
-        return True
-    registered = entry_points(group=EXPLAINERS, name=name)
-    return bool(registered) and all(each.dist is not None and each.dist.name == OURS for each in registered)
 
 
 def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
@@ -282,7 +279,11 @@ def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
         again = (
             f", {counted(verdict.episodes, 'episode')} again" if verdict.tier is not Tier.recompute else ""
         )
-        yield (f"{where}: {STATUS[verdict.tier]}{again}, {how}, largest difference {verdict.max_abs_diff}.")
+        behind = "" if verdict.wall is None else f", third-party code behind {WALLS[verdict.wall]}"
+        yield (
+            f"{where}: {STATUS[verdict.tier]}{again}{behind}, {how}, "
+            f"largest difference {verdict.max_abs_diff}."
+        )
 
 
 def _fresh_lines(entry: Entry, fresh: Fresh) -> Iterator[str]:

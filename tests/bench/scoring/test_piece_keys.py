@@ -9,11 +9,11 @@ import pytest
 
 from tests.conftest import MakeBundle
 from xmarl_bench.explain.adapters import origin_of_explainer
+from xmarl_bench.origin.code_hash import harness_sources, sources_sha256
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.scoring import piece_keys as module
-from xmarl_bench.scoring.code_hash import harness_sources, sources_sha256
 from xmarl_bench.scoring.piece_keys import Keys, version_key
 from xmarl_bench.scoring.pieces import Plan
 from xmarl_bench.scoring.request import Request

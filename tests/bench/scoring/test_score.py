@@ -216,17 +216,6 @@ def test_an_explainer_that_becomes_invalid_yields_no_entry(make_bundle: MakeBund
         score(make_bundle(), BAD["late-nan"], episodes=2, max_cycles=10)
 
 
-@pytest.mark.slow
-def test_an_invalid_explainer_is_refused_before_a_valid_one_is_scored(make_bundle: MakeBundle) -> None:
-    policy, card = load_policy(make_bundle())
-    requests = [
-        Request(policy, card, explainer, (Cell(card.task, 3),), Sampling(episodes=2, max_cycles=10))
-        for explainer in (find_explainer("attention"), BAD["nan"])
-    ]
-    with pytest.raises(InputError, match="'nan'"):
-        next(entries_of(score_requests(requests)))
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -149,13 +149,16 @@ def test_a_failure_does_not_stop_others_and_is_retried(
     assert spy.take() == ["picky 10", "picky 2"]
 
 
-def test_an_explainer_that_fails_everywhere_is_refused_before_explaining(
+def test_explainers_that_all_fail_everywhere_are_refused_before_explaining(
     make_bundle: MakeBundle, tmp_path: Path, spy: Spy
 ) -> None:
-    folder = make_bundle()
+    folder, cache = make_bundle(), tmp_path / "cache"
     with pytest.raises(InputError, match="'nan'"):
-        outcomes(tmp_path / "cache", [request(folder), request(folder, BAD["nan"])])
+        outcomes(cache, [request(folder, BAD["nan"]), request(folder, BAD["crash"])])
     assert spy.take() == PLAYED
+    found = outcomes(cache, [request(folder), request(folder, BAD["nan"])])
+    assert [type(each) for each in found] == [Entry, Failed]
+    assert spy.take() == ["attention shared 10", "attention shared 2"]
 
 
 def test_the_failing_explainer_of_a_group_is_named(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,10 +19,12 @@ from tests.helpers.policies import small_policy
 from xmarl_bench.entry.file import entry_text, parse_entry, read_entry
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.isolation.walls import SIGNED, Wall, strongest
 from xmarl_bench.metrics.table import OPTIONAL
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
+from xmarl_bench.scoring.cache import Cache
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
 from xmarl_bench.submission import tolerance, verification
@@ -297,12 +300,46 @@ def test_third_party_code_runs_only_if_trusted_and_in_the_sandbox(
     reference = ["--explainer", f"{code}:stranger"]
     ran = run_cli("verify", path, "--tier", "full", "--trust-code", *reference)
     assert (ran.code, ran.err) == (0, "")
-    assert "re-executed, 3 episodes again, bit for bit, largest difference 0.0" in ran.out
+    wall = verification.WALLS[strongest()]
+    assert f"re-executed, 3 episodes again, third-party code behind {wall}, bit for bit" in ran.out
     code.write_text(STRANGER + "# changed since\n")
     ran = run_cli("verify", path, "--tier", "spot", "--trust-code", "--explainer", f"{code}:other")
     assert ran.code == 1
     assert "explainer.stochastic is True, but False here" in ran.out
     assert "code_sha256 disagrees with the file" in ran.out
+
+
+@pytest.mark.slow
+def test_a_verdict_on_third_party_code_is_signed_only_behind_a_wall(entries: list[Entry]) -> None:
+    def signed_behind(wall: Wall | None) -> str | None:
+        return Verdict(entries[0], Tier.full, True, 7, 0.0, (), wall=wall).block("me").wall
+
+    assert [signed_behind(wall) for wall in (None, *SIGNED)] == [None, "bubblewrap", "landlock"]
+    with pytest.raises(InputError, match="ran behind no wall here and could have changed what was measured"):
+        signed_behind("process")
+
+
+@pytest.mark.slow
+def test_a_rerun_reads_no_cache_and_leaves_no_file(
+    files: Mapping[str, bytes],
+    entries: list[Entry],
+    pack: Pack,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A stranger could have filled them with results of its own."""
+
+    def poisoned(*_: object, **__: object) -> bytes:
+        raise AssertionError("read from a folder")
+
+    path, temporary = pack(files), tmp_path / "temporary"
+    temporary.mkdir()
+    for name in ("read", "write", "prepare"):
+        monkeypatch.setattr(Cache, name, poisoned)
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    monkeypatch.setattr(tempfile, "mkdtemp", poisoned)
+    assert of_bundle(path, entries[0], FULL).findings == ()
+    assert list(temporary.iterdir()) == []
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.papers.kailas2025 import main_claims, training_claims, zero_shot_claims
 from xmarl_bench.papers.kailas2025.beyond_claims import BEYOND_CLAIMS
 from xmarl_bench.papers.kailas2025.claims import PAPER_EXPLAINERS, VARIANTS, Cell, Claim
@@ -15,13 +16,12 @@ from xmarl_bench.papers.kailas2025.paper import NAVIGATION, TRAINING
 from xmarl_bench.papers.kailas2025.samples import percent_of
 from xmarl_bench.papers.kailas2025.training_claims import TRAINING_CLAIMS
 from xmarl_bench.papers.kailas2025.zero_shot_claims import ZERO_SHOT_CLAIMS
-from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell as TaskCell
 from xmarl_bench.rollout.cell import Sampling
 from xmarl_bench.scoring.arguments import ALL, check_among
 from xmarl_bench.scoring.request import Request
-from xmarl_bench.scoring.selection import select_policies
+from xmarl_bench.scoring.selection import select_explainers, select_policies
 
 EXPLAINERS = (*PAPER_EXPLAINERS, *(VARIANTS[name] for name in PAPER_EXPLAINERS))
 
@@ -70,9 +70,11 @@ STUDIES = {
 QUICK = Sampling(episodes=4, timesteps=4)
 
 
-def select_study_explainers(more: Sequence[str]) -> list[Explainer]:
-    """The explainers that the ledgers compare, and `more`."""
-    return [find_explainer(name) for name in dict.fromkeys((*EXPLAINERS, *more))]
+def select_study_explainers(
+    more: Sequence[str], limits: Limits | None = None
+) -> tuple[list[Explainer], list[InputError]]:
+    """The explainers that the ledgers compare, and `more`: see `select_explainers`."""
+    return select_explainers([*EXPLAINERS, *more], limits)
 
 
 def select_study_policies(study: Study, names: Sequence[str]) -> list[tuple[Policy, PolicyCard, Cell]]:

@@ -15,9 +15,9 @@ from torch import Tensor, nn
 from torch_geometric.nn import SimpleConv
 
 from xmarl_bench import PolicyModule, as_explainer
+from xmarl_bench.origin.code_hash import object_sha256
 from xmarl_bench.origin.references import load_reference, origin_of
 from xmarl_bench.policy import Policy
-from xmarl_bench.scoring.code_hash import object_sha256
 from xmarl_bench.scoring.piece_keys import Keys
 
 SCALE = 0.5
@@ -163,7 +163,7 @@ def test_folders_with_modules_of_one_name_are_kept_apart(
 def test_two_processes_agree(folder: Path) -> None:
     code = (
         "import sys; from xmarl_bench.origin.references import load_reference\n"
-        "from xmarl_bench.scoring.code_hash import object_sha256\n"
+        "from xmarl_bench.origin.code_hash import object_sha256\n"
         f"print(object_sha256(load_reference({str(folder / 'own.py')!r} + ':own')[0]))"
     )
     other = subprocess.run(

@@ -18,7 +18,8 @@ from torch import Tensor
 from xmarl_bench.explain.adapters import as_explainer
 from xmarl_bench.explain.explainer import Explainer, run_explainer
 from xmarl_bench.isolation.explainers import end_strangers
-from xmarl_bench.plugins.registry import find_policies, isolated
+from xmarl_bench.plugins.names import find_policies
+from xmarl_bench.plugins.registry import isolated
 from xmarl_bench.policy import Policy, load_policy
 
 POLICIES = {3: "navigation-n3-residual-lambda0.1-seed0", 5: "navigation-n5-residual-lambda0.1-seed0"}

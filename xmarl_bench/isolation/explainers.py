@@ -113,7 +113,7 @@ def isolate(explainer: Explainer, isolation: Isolation = Isolation()) -> Explain
             f"{error}): keep files, locks and connections out of it, or run it here (isolate=False)."
         ) from error
     key = object_sha256(replace(explainer, summary="", origin=None)) or secrets.token_hex()
-    return _asking(explainer, Asked(Source(f"explainer {explainer.name!r}", content, isolation), key))
+    return _asking(explainer, Asked(Source(f"explainer {explainer.name}", content, isolation), key))
 
 
 def find_elsewhere(
@@ -123,7 +123,7 @@ def find_elsewhere(
 
     origin: where it comes from, if it is known without asking. Raises InputError if it does not load.
     """
-    source = Source(f"explainer {name!r}", name, isolation, tuple(readable))
+    source = Source(f"explainer {Path(name).name}", name, isolation, tuple(readable))
     header = _process(source).declared
     try:
         declared = Declared.model_validate(header, strict=False)

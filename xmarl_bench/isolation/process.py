@@ -48,7 +48,7 @@ class Stranger:
                 f"{platform.system()} does not offer: run this on Linux or macOS, or run the code in this "
                 f"process (--no-isolate, isolate=False)."
             )
-        self.name, self.limits = name, limits
+        self.name, self.limits = shown(name, 200)[1:-1], limits
         folders = [*python_folders(), *readable]
         worker = {"limits": vars(limits), "wall": wall, "readable": [str(each) for each in folders]}
         ours, theirs = socket.socketpair()
@@ -91,7 +91,7 @@ class Stranger:
         time, answers nonsense, or ends, which ends the process.
         """
         if not self.running:
-            raise InputError(f"the process of {shown(self.name)} has ended: start it again.")
+            raise InputError(f"the process of {self.name} has ended: start it again.")
         deadline = time.monotonic() + self.limits.answer_seconds
         data = pickle.dumps(question)
         self._write(struct.pack("<Q", len(data)) + data, deadline)
@@ -107,7 +107,8 @@ class Stranger:
             raise self._wrong("returned invalid JSON")
         if "error" in header:
             said = shown(header["error"], 500)[1:-1]
-            raise InputError(said if self.name in said else f"{shown(self.name)}: {said}")
+            named = said.startswith("explainer ") or self.name in said
+            raise InputError(said if named else f"{self.name}: {said}")
         return header, payload
 
     def close(self) -> None:
@@ -161,13 +162,13 @@ class Stranger:
     def _late(self, what: str) -> InputError:
         self.close()
         return InputError(
-            f"{shown(self.name)} did not {what} within {self.limits.answer_seconds:g} s: give it more time "
+            f"{self.name} did not {what} within {self.limits.answer_seconds:g} s: give it more time "
             f"(--answer-seconds), or leave it out."
         )
 
     def _wrong(self, what: str) -> InputError:
         self.close()
-        return InputError(f"{shown(self.name)} {what}: correct it, or leave it out.")
+        return InputError(f"{self.name} {what}: correct it, or leave it out.")
 
     def _ended(self) -> InputError:
         found: dict[str, Any] = {}
@@ -178,9 +179,8 @@ class Stranger:
         self.close()
         if found.get("limit") is not None:
             return InputError(
-                f"the process of {shown(self.name)} used {found['limit']}: raise the limit, or leave it out."
+                f"the process of {self.name} used {found['limit']}: raise the limit, or leave it out."
             )
         return InputError(
-            f"the process of {shown(self.name)} ended (exit code {found.get('code')}): correct it, or leave "
-            f"it out."
+            f"the process of {self.name} ended (exit code {found.get('code')}): correct it, or leave it out."
         )

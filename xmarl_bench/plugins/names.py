@@ -155,7 +155,7 @@ def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
         return {
             name: place if isinstance(place, Path) else PolicyCode(plugin) for name, place in places.items()
         }
-    with Stranger(f"plugin {plugin.name!r} ({plugin.value})", UNLIMITED, "process") as process:
+    with Stranger(f"plugin {plugin.name} ({plugin.value})", UNLIMITED, "process") as process:
         plain = plugin.name, plugin.value, plugin.group
         listed, _ = process.ask({"what": "policies", "plugin": plain})
     folders, code = listed.get("folders"), listed.get("code")

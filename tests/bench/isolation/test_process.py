@@ -31,7 +31,7 @@ def strange(monkeypatch: pytest.MonkeyPatch) -> Strange:
 
     def start(what: str, limits: Limits = UNLIMITED) -> Stranger:
         monkeypatch.setenv("STRANGE", what)
-        return Stranger("explainer 'strange'", limits, "process")
+        return Stranger("explainer strange", limits, "process")
 
     return start
 
@@ -53,7 +53,7 @@ def gone(pid: int) -> bool:
 def test_a_process_that_stops_reading_or_answering_is_ended_at_the_deadline(strange: Strange) -> None:
     for what, said in (("deaf", "did not take its question within 1 s"), ("silent", "did not answer within")):
         with strange(what, Limits(answer_seconds=1.0)) as stranger:
-            with pytest.raises(InputError, match=rf"explainer 'strange'.* {said}"):
+            with pytest.raises(InputError, match=rf"explainer strange.* {said}"):
                 stranger.ask({"large": bytes(2**22)})
             assert not stranger.running
             assert gone(stranger.keeper_id)
@@ -80,7 +80,7 @@ def test_what_it_leaves_behind_ends_with_it(strange: Strange) -> None:
     ],
 )
 def test_a_crash_and_nonsense_are_one_sentence_with_its_name(what: str, said: str, strange: Strange) -> None:
-    with strange(what) as stranger, pytest.raises(InputError, match=f"explainer 'strange'.*{said}") as caught:
+    with strange(what) as stranger, pytest.raises(InputError, match=f"explainer strange.*{said}") as caught:
         stranger.ask({})
     assert str(caught.value).isprintable()
 

@@ -61,11 +61,15 @@ def check(folder: Folder = Path("leaderboard")) -> None:
 def explainers(folder: Folder = Path("leaderboard")) -> None:
     """Write explainers.json: question, paper and planted truth of each registered explainer, for the page."""
     from xmarl_bench.board.build import CARDS
+    from xmarl_bench.isolation.limits import UNLIMITED
     from xmarl_bench.meta.explainer_cards import cards_of
     from xmarl_bench.records.files import write_json
     from xmarl_bench.scoring.selection import select_explainers
 
-    cards = cards_of(select_explainers(["all"]))
+    found, failures = select_explainers(["all"], UNLIMITED)
+    if failures:
+        raise failures[0]
+    cards = cards_of(found)
     write_json(folder / CARDS, cards)
     print(f"{folder / CARDS}: {len(cards)} explainers. Run: xmarl-bench board build {folder}")
 

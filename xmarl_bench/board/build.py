@@ -12,8 +12,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from xmarl_bench.entry.file import check_name, entry_files, read_entry
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.records.csv_cells import csv_cell
-from xmarl_bench.records.files import locked
+from xmarl_bench.records.files import locked, write_synced, writing
 
 ANIMATIONS = "animations"
 CARDS = "explainers.json"  # written by `xmarl-bench board explainers`
@@ -38,14 +38,15 @@ ROW_DEPTH = 6  # depth of a table's rows in the board's JSON
 def build_board(folder: Path) -> Path:
     """Derive everything from FOLDER/entries/*.json; returns FOLDER/leaderboard.json.
 
-    Raises InputError, before writing, if an entry is invalid. Builds of one folder wait for each other.
+    Raises InputError, before writing, if an entry is invalid, and if the disk is full or the folder cannot be
+    written to. Builds of one folder wait for each other.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     with locked(folder, LOCK, wait=True):
         made = derived(folder)
         _publish(folder, {path: data for path, data in made.files.items() if _bytes(folder / path) != data})
         for path in _obsolete(folder, made):
-            path.unlink()
+            with writing(path):
+                path.unlink()
     return folder / "leaderboard.json"
 
 
@@ -170,18 +171,22 @@ def _json(value: Any, depth: int, indent: str = "") -> str:
 
 
 def _publish(folder: Path, files: Mapping[str, bytes]) -> None:
-    staged = []
-    for path, data in files.items():
-        target = folder / path
-        target.parent.mkdir(exist_ok=True)
-        temporary = target.with_name(f".{target.name}{STAGED}")
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        staged.append((temporary, target))
-    for temporary, target in staged:
-        temporary.replace(target)
+    staged: dict[Path, Path] = {}
+    try:
+        for path, data in files.items():
+            target = folder / path
+            staged[target] = target.with_name(f".{target.name}{STAGED}")
+            with writing(target):
+                target.parent.mkdir(exist_ok=True)
+                write_synced(staged[target], data)
+    except BaseException:
+        for temporary in staged.values():
+            with suppress(OSError):
+                temporary.unlink()
+        raise
+    for target, temporary in staged.items():
+        with writing(target):
+            temporary.replace(target)
 
 
 def _obsolete(folder: Path, made: Derived) -> list[Path]:

@@ -80,6 +80,7 @@ def serve(
     port: Annotated[int, typer.Option(help="Port; 0: a free one.", min=0, max=65535)] = 8000,
 ) -> None:
     """Serve the page on this machine only, until interrupted."""
+    from contextlib import suppress
     from functools import partial
     from http.server import ThreadingHTTPServer
 
@@ -95,4 +96,5 @@ def serve(
         raise InputError(f"cannot serve on port {port} ({error.strerror}): choose another --port.") from None
     with server:
         print(f"http://127.0.0.1:{server.server_port}/index.html (Ctrl+C ends)", flush=True)
-        server.serve_forever()
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()

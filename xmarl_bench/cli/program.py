@@ -34,7 +34,11 @@ def run(name: str, app: Callable[[], object], interrupted: str) -> None:
     except InputError as error:
         _end(f"{name}: {error}", 2)
     except KeyboardInterrupt:
-        _end(f"{name}: {interrupted}", 130)
+        _end(f"{name}: {interrupted}", INTERRUPTED)
+    except SystemExit as stop:
+        if stop.code != INTERRUPTED:
+            raise
+        _end(f"{name}: {interrupted}", INTERRUPTED)  # typer ends silently
     except OSError as error:
         if error.errno == errno.EPIPE:  # the reader closed the pipe, as `| head -1` does
             _end(None, 1)
@@ -94,6 +98,7 @@ def _print_version(asked: bool) -> None:
         raise typer.Exit
 
 
+INTERRUPTED = 130  # exit code after Ctrl+C
 Version = Annotated[
     bool,
     typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),

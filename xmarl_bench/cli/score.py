@@ -166,24 +166,30 @@ def score(
     with locked(out):
         for folder in (out, out / "entries", out / "entries" / SHARED):
             remove_leftovers(folder)
+        outcomes = score_requests(
+            requests,
+            workers=workers,
+            parallel_episodes=parallel_episodes,
+            progress=True,
+            submitter=submitter,
+            cache=Cache(cache) if isolate else Memory(),
+            fresh=not resume,
+            out=out,
+            in_order=False,
+        )
         try:
-            for outcome in score_requests(
-                requests,
-                workers=workers,
-                parallel_episodes=parallel_episodes,
-                progress=True,
-                submitter=submitter,
-                cache=Cache(cache) if isolate else Memory(),
-                fresh=not resume,
-                out=out,
+            with tables.says_if_stopped(
+                lambda: f"{len(entries)} of {counted(len(requests), 'entry')} in {out / 'entries'}, ",
+                cache if isolate else None,
             ):
-                if isinstance(outcome, Failed):
-                    failed.append(outcome)
-                    continue
-                path = write_entry(out / "entries", outcome)
-                entries.append(outcome)
-                if not sys.stderr.isatty():  # a log has no progress bar
-                    print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
+                for outcome in outcomes:
+                    if isinstance(outcome, Failed):
+                        failed.append(outcome)
+                        continue
+                    path = write_entry(out / "entries", outcome)
+                    entries.append(outcome)
+                    if not sys.stderr.isatty():  # a log has no progress bar
+                        print(f"{len(entries)} of {len(requests)}: {path}", flush=True)
         finally:
             if entries:  # also after an interruption
                 remove_unused(out / "entries")

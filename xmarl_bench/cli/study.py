@@ -115,7 +115,8 @@ def study(
             fresh=not resume,
             out=folder,
         )
-        outcomes = list(tables.log_progress(scored, len(requests)))
+        with tables.says_if_stopped(lambda: "", cache if isolate else None):
+            outcomes = list(tables.log_progress(scored, len(requests)))
         pairs = [
             (request.card, outcome)
             for request, outcome in zip(requests, outcomes, strict=True)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from xmarl_bench.cli.fitted_table import cell
@@ -42,6 +44,21 @@ def log_progress(outcomes: Iterator[Outcome], total: int, every: float = 20.0) -
             last, minutes = now, (now - started) / 60
             print(f"{done} of {total} scored after {minutes:.1f} min.", file=sys.stderr, flush=True)
         yield outcome
+
+
+@contextmanager
+def says_if_stopped(kept: Callable[[], str], cache: Path | None) -> Iterator[None]:
+    """After Ctrl+C, say on stderr what is kept and how to go on.
+
+    kept: besides pieces, such as "a in b, ". cache: where pieces are kept, if they are.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        pieces = "no pieces" if cache is None else f"finished pieces in {cache}"
+        how = "" if cache is None else " The same command, without --no-resume, goes on from there."
+        print(f"Kept: {kept()}{pieces}.{how}", file=sys.stderr, flush=True)
+        raise
 
 
 def exit_for_failures(failed: Sequence[Failed | InputError], total: int) -> None:

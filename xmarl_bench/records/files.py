@@ -24,24 +24,37 @@ def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
     is full or the folder cannot be written to.
     """
     temporary: Path | None = None
+    with writing(path):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary = _temporary_beside(path)
+            write_synced(temporary, data, sync=sync)
+            temporary.replace(path)
+        except BaseException:
+            if temporary is not None:
+                temporary.unlink(missing_ok=True)
+            raise
+
+
+def write_synced(path: Path, data: bytes, *, sync: bool = True) -> None:
+    """Write a file, with the permissions of the umask."""
+    with path.open("wb") as file:
+        file.write(data)
+        if sync:
+            file.flush()
+            os.fsync(file.fileno())
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """While `path` is written: raises InputError if the disk is full or the folder cannot be written to."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = _temporary_beside(path)
-        with temporary.open("xb") as file:  # with the permissions of the umask
-            file.write(data)
-            if sync:
-                file.flush()
-                os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise InputError(
-                f"{path} cannot be written ({error.strerror}): free disk space or give another folder. Files "
-                f"written before are intact."
-            ) from error
-        raise
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written ({error.strerror}): free disk space or give another folder. Files "
+            f"written before are intact."
+        ) from error
 
 
 def _temporary_beside(path: Path) -> Path:
@@ -79,20 +92,25 @@ def locked(folder: Path, name: str = LOCK, *, wait: bool = False) -> Iterator[No
 
     check_writable(folder)
     made = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / name
+    with writing(path):
+        folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(path, timeout=-1 if wait else 0)
     try:
-        with FileLock(path, timeout=-1 if wait else 0):
+        with writing(path):
             try:
-                yield
-            finally:
-                # While the lock is held: who locks a deleted file tries again. Windows deletes no open file.
-                with suppress(PermissionError):
-                    path.unlink(missing_ok=True)
-    except Timeout:
-        raise InputError(
-            f"another run is writing to {folder}: wait until it is done, or give another folder."
-        ) from None
+                lock.acquire()
+            except Timeout:
+                raise InputError(
+                    f"another run is writing to {folder}: wait until it is done, or give another folder."
+                ) from None
+        try:
+            yield
+        finally:
+            # While the lock is held: who locks a deleted file tries again. Windows deletes no open file.
+            with suppress(PermissionError):
+                path.unlink(missing_ok=True)
+            lock.release()
     finally:
         if made:
             with suppress(OSError):  # it holds files

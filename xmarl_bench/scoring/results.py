@@ -5,6 +5,7 @@ Episodes are stored as safetensors, all other results as JSON, which keeps numbe
 
 from __future__ import annotations
 
+import sys
 from collections import OrderedDict
 from collections.abc import Sequence
 from typing import Any
@@ -79,7 +80,9 @@ class Results:
             return None
         try:
             result: Result = _decode(piece, data)
-        except (SafetensorError, KeyError, ValueError):
+        except (SafetensorError, LookupError, TypeError, ValueError):
+            path = self.cache.path(piece.key)
+            print(f"{path} does not hold the result of {piece}: it is computed anew.", file=sys.stderr)
             return None
         self._remember(piece, result, len(data))
         return result
@@ -96,9 +99,14 @@ def _encode(piece: Piece, result: Any) -> bytes:
 
 
 def _decode(piece: Piece, data: bytes) -> Any:
+    """The result. Raises LookupError, TypeError, ValueError or SafetensorError if the data is not of it."""
     if piece.kind in PLAYED:
         return _decode_episodes(data, piece.block.seeds)
-    return JSON[piece.kind].validate_json(data)
+    result = JSON[piece.kind].validate_json(data)
+    n = len(result.rows if isinstance(result, Played) else result)
+    if n != len(piece.block.seeds):
+        raise ValueError(f"{n} results of {len(piece.block.seeds)} episodes")
+    return result
 
 
 def _encode_episodes(episodes: Sequence[Episode]) -> bytes:

@@ -6,7 +6,7 @@ episodes, and whether its pieces come from one run or several.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ from xmarl_bench.rollout.cell import Cell, Sampling, check_parallel
 from xmarl_bench.scoring.cache import Cache, Memory
 from xmarl_bench.scoring.cell_result import Controls, cell_result, total_cost
 from xmarl_bench.scoring.piece_keys import Keys
-from xmarl_bench.scoring.pieces import Plan
+from xmarl_bench.scoring.pieces import Piece, Plan
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.results import Results
 from xmarl_bench.scoring.run_record import RunRecord
@@ -150,12 +150,14 @@ def score_requests(
     cache: Cache | None = None,
     fresh: bool = False,
     out: Path | None = None,
+    in_order: bool = True,
 ) -> Iterator[Entry | Failed]:
-    """Yield an entry per request, in order, each as soon as it is complete; or why the request failed.
+    """Yield an entry per request as soon as it is complete, or why the request failed.
 
-    cache: where pieces are read and kept, in memory by default. fresh: compute pieces again that it
-    holds. out: folder of the entries, for `xmarl-bench status`. Raises InputError before anything is yielded
-    if no explainer works on any policy, if two explainers share a name, or if results cannot be written.
+    in_order: after those of all earlier requests. cache: where pieces are kept, in memory by default. fresh:
+    compute pieces again that it holds. out: folder of the entries, for `xmarl-bench status`. Raises
+    InputError before anything is explained if no explainer works on any policy, if two explainers share a
+    name, or if results cannot be written.
     """
     check_parallel(parallel_episodes)
     explainers, started = _by_name(requests), now()
@@ -171,14 +173,40 @@ def score_requests(
     results, controls = Results(cache), Controls()
     sweep = Sweep(results, explainers, workers, parallel_episodes, progress)
     settled = sweep.compute(piece for plan in plans for piece in plan)
-    for plan in plans:
-        while not sweep.unsettled.isdisjoint(plan.piece_keys):
-            next(settled)
+    complete = _complete(plans, sweep.unsettled, settled)
+    for k in _in_order(complete) if in_order else complete:
+        plan = plans[k]
         error = next((sweep.errors[piece.key] for piece in plan if piece.key in sweep.errors), None)
         if error is not None:
             yield Failed(plan.request, error)
             continue
         yield _entry(plan, results, controls, started, workers.jobs or 1, submitter)
+
+
+def _complete(plans: Sequence[Plan], unsettled: Collection[str], settled: Iterable[Piece]) -> Iterator[int]:
+    """Numbers of the plans, each once its last unsettled piece is settled."""
+    waiting = [set(plan.piece_keys).intersection(unsettled) for plan in plans]
+    users: dict[str, list[int]] = {}
+    for k, keys in enumerate(waiting):
+        for key in keys:
+            users.setdefault(key, []).append(k)
+    yield from (k for k, keys in enumerate(waiting) if not keys)
+    for piece in settled:
+        for k in users.pop(piece.key, ()):
+            waiting[k].remove(piece.key)
+            if not waiting[k]:
+                yield k
+
+
+def _in_order(numbers: Iterable[int]) -> Iterator[int]:
+    """0, 1, 2 ..., each once it and all lower ones have come."""
+    come: set[int] = set()
+    following = 0
+    for k in numbers:
+        come.add(k)
+        while following in come:
+            yield following
+            following += 1
 
 
 def entries_of(outcomes: Iterable[Entry | Failed]) -> Iterator[Entry]:

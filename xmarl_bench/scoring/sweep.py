@@ -95,9 +95,16 @@ class Sweep:
         groups: dict[object, list[Piece]] = {}
         for piece in rest:
             if piece.key not in self.errors:
-                states = piece.key if piece.source is None else (piece.source.key, piece.timesteps)
-                groups.setdefault(states, []).append(piece)
+                groups.setdefault(self._group(piece), []).append(piece)
         yield from self._explain([tuple(group) for group in groups.values()])
+
+    def _group(self, piece: Piece) -> object:
+        """What the pieces of a group have in common: the states. A slow explainer is alone, because the
+        results of a group are written together, and it takes longer than to prepare the states."""
+        if piece.source is None:
+            return piece.key
+        alone = piece.explainer if piece.explainer and self.explainers[piece.explainer].slow else None
+        return piece.source.key, piece.timesteps, alone
 
     def _play(self, pieces: Sequence[Piece]) -> Iterator[Piece]:
         units = (self._rollout(piece) for piece in pieces)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -141,13 +140,7 @@ def _train(
     run: Run, out: Path, *, resume: bool, start_from: Path | None, episodes: int, device: str = CPU
 ) -> None:
     folder = out / run.name
-    try:
-        card = train_and_save(
-            run, folder, resume=resume, start_from=start_from, episodes=episodes, device=device
-        )
-    except KeyboardInterrupt:
-        print("xmarl-train: stopped. Run the same command with --resume to continue.", file=sys.stderr)
-        raise typer.Exit(130) from None
+    card = train_and_save(run, folder, resume=resume, start_from=start_from, episodes=episodes, device=device)
     print_table(performance_rows([card], [Performance(**card.performance)]), keep=("success",))
     print(f"policy in {folder / 'policy'}: xmarl-bench score --policy {folder / 'policy'}")
 
@@ -268,7 +261,7 @@ def _progress(run: Run) -> Iterator[Report]:
 
 def main() -> None:
     """Console entry point."""
-    run_program("xmarl-train", app, "stopped. Run the same command again to continue.")
+    run_program("xmarl-train", app, "stopped. The same command continues; a single run needs --resume.")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+import typer
 from xmarl_baselines.training.command import main as train
 
 from xmarl_bench.cli.main import main as bench
@@ -99,8 +100,12 @@ def test_a_failed_write_names_the_file(
 def test_an_interrupt_has_its_own_exit_code(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    app = typer.Typer()
+
+    @app.command()
     def interrupted() -> None:
         raise KeyboardInterrupt
 
-    assert end(lambda: run("command", interrupted, "stopped."), [], monkeypatch) == 130
-    assert capsys.readouterr().err == "command: stopped.\n"
+    for each in (interrupted, app):
+        assert end(lambda each=each: run("command", each, "stopped."), [], monkeypatch) == 130  # type: ignore[misc]
+        assert capsys.readouterr().err == "command: stopped.\n"

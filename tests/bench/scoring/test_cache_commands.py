@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
 
 from tests.conftest import MakeBundle, Ran, RunCli
 from tests.helpers.full_disk import files_of_at_most
-from xmarl_bench.entry.file import read_entries
+from tests.helpers.made_entries import made_entry
+from tests.helpers.measured_times import board_without_times
+from xmarl_bench.entry.file import read_entries, write_entry
 from xmarl_bench.records.files import locked
+from xmarl_bench.scoring import sweep
 
 SIZE = ("--episodes", 2, "--timesteps", 2, "--max-cycles", 4)
 # Of a run with one explainer: episodes, those without messages, what all explainers share, explanations; and
@@ -51,12 +55,64 @@ def test_a_full_disk_gives_one_sentence_and_keeps_entries(
     folder = make_bundle()
     assert score(run_cli, folder, out).code == 0
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    board = board_without_times(out)
     with files_of_at_most(size):
         assert_refused(score(run_cli, folder, out, "--no-resume"), "cannot be written (File too large)")
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not list((tmp_path / "cache").rglob("*.tmp"))
     assert score(run_cli, folder, out).code == 0
-    assert (out / "leaderboard.json").read_bytes() == before[out / "leaderboard.json"]
+    assert board_without_times(out) == board
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_what_is_kept_and_how_to_go_on(
+    run_cli: RunCli, make_bundle: MakeBundle, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[object] = []
+
+    def interrupted(payload: sweep.Payload) -> object:
+        calls.append(payload)
+        if len(calls) > 5:  # the groups of the first policy: explained; two teams, under two kinds of absence
+            raise KeyboardInterrupt
+        return run(payload)
+
+    run = sweep.run
+    asked = ("--policy", make_bundle(name="two", seed=1), "--jobs", 1)
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep, "run", interrupted)
+        ran = score(run_cli, make_bundle(name="one"), out, *asked)
+    assert ran.code == 130
+    kept, stopped = ran.err.splitlines()
+    assert kept == (
+        f"Kept: 1 of 2 entries in {out / 'entries'}, finished pieces in {tmp_path / 'cache'}. The same "
+        f"command, without --no-resume, goes on from there."
+    )
+    assert stopped.startswith("xmarl-bench: stopped")
+    (first,) = (out / "entries").glob("*.json")
+    assert first.name.startswith("one.")
+    assert json.loads((out / "leaderboard.json").read_bytes())["tables"]
+    assert score(run_cli, tmp_path / "policies" / "one", out, *asked).code == 0
+    assert len(list((out / "entries").glob("*.json"))) == 2
+
+
+def test_a_full_disk_stops_a_build_in_one_sentence_and_files_have_the_umask(
+    run_cli: RunCli, out: Path
+) -> None:
+    write_entry(out / "entries", made_entry("p", "a", 0.5))
+    mask = os.umask(0o027)
+    try:
+        assert run_cli("board", "build", out).code == 0
+    finally:
+        os.umask(mask)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    made = [path for path in before if (out / "entries") not in path.parents]
+    assert {path.stat().st_mode & 0o777 for path in made} == {0o640}
+    more = write_entry(out / "entries", made_entry("p", "b", 0.4))
+    with files_of_at_most(2000):
+        assert_refused(run_cli("board", "build", out), "cannot be written (File too large)")
+    after = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert {path: after[path] for path in before} == before
+    assert after.keys() - before.keys() == {more}
 
 
 def test_an_entry_that_cannot_be_read_is_named(run_cli: RunCli, make_bundle: MakeBundle, out: Path) -> None:

@@ -117,6 +117,36 @@ def test_a_damaged_result_is_computed_again(make_bundle: MakeBundle, tmp_path: P
     assert len(spy.take()) == 6
 
 
+def test_a_result_of_other_episodes_under_a_right_digest_is_computed_anew_and_said(
+    make_bundle: MakeBundle, tmp_path: Path, spy: Spy, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked, cache = request(make_bundle()), Cache(tmp_path / "cache")
+    (whole,) = outcomes(cache.folder, [asked])
+    spy.take()
+    files = sorted(cache.folder.glob("*/??/*"))
+    wrong = [b"[]", b"{}", b"null", b"[1]", b"{", b'{"rows": [], "seconds": 1}', b"[[]]", b"\x00"]
+    for path, value in zip(files, wrong, strict=True):
+        cache.write(path.parent.parent.name + path.name, value)
+    assert ids(outcomes(cache.folder, [asked])) == ids([whole])
+    said = capsys.readouterr().err
+    assert said.count("does not hold the result of") == len(files)
+    assert all(f"{path} does not hold" in said for path in files)
+    assert len(spy.take()) == 6
+
+
+def test_an_entry_is_made_when_its_pieces_are_finished(
+    make_bundle: MakeBundle, tmp_path: Path, spy: Spy
+) -> None:
+    folder = make_bundle()
+    slow = replace(find_explainer("occlusion"), slow=True)
+    requests = [request(folder, slow), request(folder)]
+    found = outcomes(tmp_path / "one", requests, in_order=False)
+    groups = ["attention shared 10", "attention shared 2", "occlusion 10", "occlusion 2"]
+    assert spy.take() == [*PLAYED, *groups]
+    assert [each.explainer.name for each in found if isinstance(each, Entry)] == ["attention", "occlusion"]
+    assert ids(outcomes(tmp_path / "two", requests)) == ids(found)[::-1]
+
+
 def picky(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """Works only for teams of three."""
     if observations.shape[1] != 3:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, TypeVar
 
@@ -243,14 +244,11 @@ def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor
 
 def as_floats(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
     """The mask, detached. Raises InputError unless it is a floating-point tensor of the expected shape."""
-    if isinstance(mask, Tensor) and type(mask) is not Tensor:
-        mask = mask.as_subclass(Tensor)  # a subclass may answer anything when it is checked
-    if isinstance(mask, Tensor) and type(mask) is not Tensor:
-        mask = mask.as_subclass(Tensor)  # a subclass may answer anything when it is checked
     if not isinstance(mask, Tensor):
         raise InputError(
             f"explainer {name!r} returned a {type(mask).__name__}: return a torch.Tensor of shape {expected}."
         )
+    mask = _plain(name, mask)
     kinds = {"sparse": mask.layout != torch.strided, "nested": mask.is_nested, "meta": mask.is_meta,
              "quantised": mask.is_quantized}  # fmt: skip
     kind = next((kind for kind, is_it in kinds.items() if is_it), None)
@@ -266,6 +264,19 @@ def as_floats(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
             f"16 bits."
         )
     return mask.detach()
+
+
+def _plain(name: str, mask: Tensor) -> Tensor:
+    """The mask as a Tensor of no subclass, because a subclass may answer anything when it is checked."""
+    if type(mask) is Tensor:
+        return mask
+    with suppress(Exception):  # whatever the code of the subclass raises
+        plain = Tensor.as_subclass(mask, Tensor)
+        if type(plain) is Tensor:
+            return plain
+    raise InputError(
+        f"explainer {name!r} returned a {type(mask).__name__} that is no plain tensor: return a torch.Tensor."
+    )
 
 
 def finite(name: str, mask: Tensor) -> Tensor:

@@ -119,7 +119,8 @@ def test_hostile_code_in_a_sweep_changes_no_other_entry(
     assert "noise" not in errors
     (cell,) = beside["thief"].results
     for name, mean in cell.controls["all-ones"].model_dump().items():  # it found no oracle
-        assert mean is None or getattr(cell.metrics, name).value == mean["value"], name
+        if mean is not None and mean["value"] is not None:
+            assert getattr(cell.metrics, name).value == pytest.approx(mean["value"], rel=1e-6, abs=1e-6), name
     assert beside["thief"].explainer.isolated is None
 
 

@@ -59,7 +59,7 @@ from xmarl_bench.papers.kailas2025.tables import METRIC_NAMES
 schemas = Entry.model_json_schema()["$defs"]
 page = runpy.run_path("docs/make_metric_tables.py")
 print(json.dumps({
-    "row": schemas["EpisodeRow"]["properties"]["made_up"]["anyOf"][0],
+    "row": schemas["EpisodeRowColumns"]["properties"]["made_up"]["anyOf"][0]["items"]["anyOf"][0],
     "means": [name for name, schema in schemas.items() if "made_up" in schema.get("required", ())],
     "column": COLUMNS["made_up"],
     "terminal": SCORE_COLUMNS["made"],
@@ -78,7 +78,7 @@ def test_a_new_metric_needs_only_a_row() -> None:
     ran = subprocess.run([sys.executable, "-c", ADD_A_METRIC], cwd=ROOT, capture_output=True, check=True)
     assert json.loads(ran.stdout) == {
         "row": {"maximum": 1.000001, "minimum": -1e-06, "type": "number"},
-        "means": ["ControlMetrics", "EpisodeRow", "Metrics"],
+        "means": ["ControlMetrics", "EpisodeRowColumns", "Metrics"],
         "column": "made-up thing \u2193",
         "terminal": "made_up",
         "better": "lower",

@@ -11,6 +11,7 @@ from xmarl_bench.cli.options import AsJson
 
 if TYPE_CHECKING:
     from xmarl_bench.compare.comparison import Comparison
+    from xmarl_bench.entry.schema import Entry
     from xmarl_bench.metrics.statistics import Difference
 
 
@@ -18,7 +19,7 @@ def compare(
     entry: Annotated[
         list[str],
         typer.Argument(
-            help="Entry files, folders of entries or of `score`, or explainers named in --entries."
+            help="Entry files, folders of entries or of `score`, bundles, or explainers named in --entries."
         ),
     ],
     metric: Annotated[
@@ -43,7 +44,7 @@ def compare(
 
     if plot is not None:
         check_picture(plot)
-    blocks = blocks_of(read_named(entry, entries))
+    blocks = blocks_of(read_named(entry, entries, _bundled(entry)))
     comparisons = [run(blocks, each) for each in dict.fromkeys(metric or [ORDER])]
     if plot is not None:
         draw(comparisons, plot)
@@ -54,6 +55,23 @@ def compare(
         _print(comparison)
     if plot is not None:
         print(f"Picture in {plot}.")
+
+
+def _bundled(names: list[str]) -> dict[str, list[Entry]]:
+    """The entries of the names that are bundles. Raises InputError if one is invalid."""
+    from xmarl_bench.errors import InputError
+    from xmarl_bench.records.strict_json import printable
+    from xmarl_bench.submission.archive import is_bundle
+    from xmarl_bench.submission.checking import check
+
+    found = {}
+    for name in names:
+        if is_bundle(Path(name)):
+            checked = check(Path(name))
+            if checked.findings:
+                raise InputError(f"{printable(Path(name))} is invalid: run xmarl-bench validate on it.")
+            found[name] = list(checked.entries.values())
+    return found
 
 
 def _print(comparison: Comparison) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -15,12 +15,14 @@ from xmarl_bench.records.files import canonical_json
 Blocks = dict[str, dict[str, CellResult]]  # explainer -> states (the same for all explainers) -> its cell
 
 
-def read_named(names: Sequence[str], folder: Path) -> list[Entry]:
+def read_named(
+    names: Sequence[str], folder: Path, bundled: Mapping[str, Sequence[Entry]] | None = None
+) -> list[Entry]:
     """Read entries by name: a file, a folder (of entries, or as `score` writes it), or an explainer.
 
     An explainer with entries in `folder` comes before a file or folder of that name in the working directory.
-    Files are used as they are; entries of names and folders are restricted to the states that all explainers
-    share. Raises InputError for a name without entries.
+    bundled: the entries of names that are bundles. Files are used as they are; entries of other names are
+    restricted to the states that all explainers share. Raises InputError for a name without entries.
     """
 
     @cache
@@ -35,7 +37,10 @@ def read_named(names: Sequence[str], folder: Path) -> list[Entry]:
     for name in names:
         path = Path(name)
         is_path = len(path.parts) > 1 or path.suffix == ".json"
-        if not is_path and name in by_explainer():
+        entries: Sequence[Entry]
+        if bundled and name in bundled:
+            entries, files = bundled[name], False
+        elif not is_path and name in by_explainer():
             entries, files = by_explainer()[name], False
         elif path.is_dir():
             entries, files = [entry for _, entry in read_entries(folder_of_entries(path))], False

@@ -39,6 +39,11 @@ MAX_ZIP, MAX_DIRECTORY = 128 * 1024 * 1024, 256 * 1024
 _END, _END_SIZE = b"PK\x05\x06", 22
 
 
+def is_bundle(path: Path) -> bool:
+    """Whether a path is a bundle, not entries."""
+    return path.suffix == ".zip" or (path / MANIFEST).is_file()
+
+
 def kind_of(name: str) -> str | None:
     """The kind of a file, of KINDS, by its name; None if bundles hold no such file."""
     if any(RESERVED.fullmatch(part) for part in name.split("/")):

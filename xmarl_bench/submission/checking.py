@@ -20,7 +20,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.policy.bundle import PolicyCard, Weights, build, parse_card, parse_weights
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 from xmarl_bench.records.strict_json import MAX_BYTES, first_error, parse_json, printable, shown
-from xmarl_bench.submission.archive import MANIFEST, kind_of, read_files
+from xmarl_bench.submission.archive import MANIFEST, is_bundle, kind_of, read_files
 from xmarl_bench.submission.consistency import entry_findings
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
 from xmarl_bench.submission.recompute import Difference, recompute_findings, recomputed
@@ -44,7 +44,7 @@ class Checked:
 
     @property
     def is_bundle(self) -> bool:
-        return self.path.suffix == ".zip" or (self.path / MANIFEST).is_file()
+        return is_bundle(self.path)
 
     @property
     def folder(self) -> Path:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
+from tests.bench.submission.conftest import LICENCE, Pack
+from xmarl_bench.entry.file import write_entry
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.records.files import write_atomically
+from xmarl_bench.submission.packing import bundle_files
 
 WORKFLOW = Path(__file__).parents[3] / ".github" / "workflows" / "submission.yml"
 
@@ -83,3 +89,26 @@ def test_bundles_of_a_pull_request_are_found(tmp_path: Path, files: Mapping[str,
     write_atomically(head / "leaderboard" / "entries" / "a.json", b"[]")
     git(head, "commit", "-qam", "an entry")
     assert (run("true"), run("false")) == (1, 0)
+
+
+@pytest.mark.slow
+def test_the_summary_compares_each_bundle_with_the_references(
+    tmp_path: Path, entries: Sequence[Entry], policy_folder: Path, pack: Pack
+) -> None:
+    reference, other = entries  # of attention and of occlusion
+    write_entry(tmp_path / "base" / "leaderboard" / "entries", reference)
+    files = bundle_files([other], {"small": policy_folder}, submitter="somebody", licence=LICENCE)
+    strange = "$(touch pwned) `x`.zip"
+    pack(files, "folder")
+    pack({**files, "manifest.json": b"{}"}, strange)
+    (tmp_path / "bundles").write_bytes(f"folder\0{strange}\0".encode())
+    environment = {**os.environ, "REFERENCES": "attention", "GITHUB_STEP_SUMMARY": "summary.md"}
+    environment["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    compare = script("Compare with the reference explainers, in the summary of the run")
+    subprocess.run(["bash", "-ec", compare], cwd=tmp_path, env=environment, check=True)
+    _, table, _, refused, _ = (tmp_path / "summary.md").read_text().split("```")
+    assert table.startswith("text\nmessage_fidelity, higher is better, on 1 policy and cell")
+    assert re.search(r"attention +.*\n", table)
+    assert re.search(r"occlusion - attention|attention - occlusion", table)
+    assert refused.strip().endswith("is invalid: run xmarl-bench validate on it.")
+    assert not (tmp_path / "pwned").exists()

@@ -39,6 +39,7 @@ from xmarl_bench.scoring.cache import DEFAULT_FOLDER
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from xmarl_bench.entry.schema import Entry
     from xmarl_bench.explain.explainer import Explainer
 
 
@@ -162,7 +163,8 @@ def score(
         behaviour_episodes=behaviour_episodes,
         no_behaviour=no_behaviour,
     )
-    entries, failed = [], []
+    entries: list[Entry] = []
+    failed: list[Failed] = []
     with locked(out):
         for folder in (out, out / "entries", out / "entries" / SHARED):
             remove_leftovers(folder)

@@ -22,6 +22,7 @@ from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 from xmarl_bench.records.strict_json import MAX_BYTES, first_error, parse_json, printable, shown
 from xmarl_bench.submission.archive import MANIFEST, is_bundle, kind_of, read_files
 from xmarl_bench.submission.consistency import entry_findings
+from xmarl_bench.submission.coverage import coverage_remarks
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
 from xmarl_bench.submission.recompute import Difference, recompute_findings, recomputed
 
@@ -107,6 +108,8 @@ def check(path: Path) -> Checked:
             why = partial_reason(entry.protocol, cell)
             if why is not None:
                 checked.remarks.append(f"{printable(file)}: a partial score ({why}): valid, but not ranked.")
+    if path.is_dir() or checked.is_bundle:
+        checked.remarks += coverage_remarks(checked.entries.values())
     if not checked.findings:  # the most expensive checks come last, and need valid rows
         for file, entry in checked.entries.items():
             checked.recomputed[file] = list(recomputed(entry))

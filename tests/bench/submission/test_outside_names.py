@@ -19,6 +19,10 @@ from xmarl_bench.board.server import PlainFiles
 from xmarl_bench.board.tables import board_of
 from xmarl_bench.entry.file import read_entries, write_entry
 from xmarl_bench.entry.schema import Entry, make_entry
+from xmarl_bench.plugins.names import shipped_policies
+from xmarl_bench.policy import PolicyCard
+from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.records.strict_json import printable
 from xmarl_bench.submission.checking import check
 from xmarl_bench.submission.packing import as_submitted
@@ -89,6 +93,42 @@ def test_partial_scores_are_not_ranked_and_same_masks_are_pointed_out() -> None:
     assert rows["1"]["date"] == "2026-01-01"
     (row,) = (row for row in partial_table["policies"][0]["rows"] if not row["control"])
     assert (row["rank"], row["partial"]) == (None, "7 of the protocol's 50 episodes")
+
+
+@pytest.mark.slow
+def test_an_explainer_scored_on_some_of_the_protocols_policies_is_pointed_out(tmp_path: Path) -> None:
+    cards = default_policies(map(load_card, shipped_policies().values()))
+
+    def write(card: PolicyCard, explainer: str, episodes: int = 50) -> None:
+        made = made_entry(
+            card.name, explainer, 0.5, task=card.task, n_agents=card.n_agents, episodes=episodes
+        )
+        content = {name: getattr(made, name) for name in Entry.model_fields if name != "entry_id"}
+        policy = made.policy.model_copy(update={"weights_sha256": card.weights_sha256})
+        write_entry(tmp_path, make_entry(**{**content, "policy": policy}))
+
+    def said() -> list[str]:
+        return [each for each in check(tmp_path).remarks if "whole scores" in each]
+
+    for card in cards:
+        write(card, "all")
+    write(cards[0], "one")
+    for card in cards[:-1]:
+        write(card, "few", 7)
+    ending = ": valid, but not ranked over all policies."
+    n = len(cards)
+    assert said() == [
+        f"few has whole scores on 0 of the protocol's {n} policies, none on {cards[0].name} and {n - 1} "
+        f"others{ending}",
+        f"one has whole scores on 1 of the protocol's {n} policies, none on {cards[1].name} and {n - 2} "
+        f"others{ending}",
+    ]
+    for card in cards[1:-1]:
+        write(card, "one")
+    assert said()[1] == (
+        f"one has whole scores on {n - 1} of the protocol's {n} policies, none on {cards[-1].name}{ending}"
+    )
+    assert not any("whole scores" in each for each in check(next(tmp_path.glob("*.json"))).remarks)
 
 
 def test_serve_follows_no_link_and_lists_no_folder(tmp_path: Path) -> None:

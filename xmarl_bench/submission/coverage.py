@@ -1,0 +1,38 @@
+"""Which explainers of a submission were scored on some of the protocol's policies only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from xmarl_bench.counted import counted
+from xmarl_bench.entry.partial import partial_reason
+from xmarl_bench.entry.schema import Entry
+from xmarl_bench.plugins.names import shipped_policies
+from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.default_policies import default_policies
+
+
+def coverage_remarks(entries: Iterable[Entry]) -> Iterator[str]:
+    """A sentence for each explainer without whole scores on all of the protocol's policies.
+
+    These are the default policies among the shipped ones, in teams of the size that they were trained for.
+    """
+    cards = default_policies(map(load_card, shipped_policies().values()))
+    scored: dict[str, set[str]] = {}
+    for entry in entries:
+        policy = entry.policy
+        of = scored.setdefault(entry.explainer.name, set())
+        if any(
+            (cell.task, cell.n_agents) == (policy.task, policy.n_agents)
+            and partial_reason(entry.protocol, cell) is None
+            for cell in entry.results
+        ):
+            of.add(policy.weights_sha256)
+    for name, of in sorted(scored.items()):
+        missing = [card.name for card in cards if card.weights_sha256 not in of]
+        if missing:
+            others = f" and {counted(len(missing) - 1, 'other')}" if len(missing) > 1 else ""
+            yield (
+                f"{name} has whole scores on {len(cards) - len(missing)} of the protocol's {len(cards)} "
+                f"policies, none on {missing[0]}{others}: valid, but not ranked over all policies."
+            )

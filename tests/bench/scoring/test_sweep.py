@@ -124,14 +124,14 @@ def test_a_result_of_other_episodes_under_a_right_digest_is_computed_anew_and_sa
     (whole,) = outcomes(cache.folder, [asked])
     spy.take()
     files = sorted(cache.folder.glob("*/??/*"))
-    wrong = [b"[]", b"{}", b"null", b"[1]", b"{", b'{"rows": [], "seconds": 1}', b"[[]]", b"\x00"]
-    for path, value in zip(files, wrong, strict=True):
-        cache.write(path.parent.parent.name + path.name, value)
-    assert ids(outcomes(cache.folder, [asked])) == ids([whole])
-    said = capsys.readouterr().err
-    assert said.count("does not hold the result of") == len(files)
-    assert all(f"{path} does not hold" in said for path in files)
-    assert len(spy.take()) == 6
+    for wrong in (b"[]", b"[[]]", b"{"):  # the first is a result of no episodes
+        for path in files:
+            cache.write(path.parent.parent.name + path.name, wrong)
+        assert ids(outcomes(cache.folder, [asked])) == ids([whole])
+        said = capsys.readouterr().err
+        assert said.count("does not hold the result of") == len(files)
+        assert all(f"{path} does not hold" in said for path in files)
+        assert len(spy.take()) == 6
 
 
 def test_an_entry_is_made_when_its_pieces_are_finished(

@@ -34,6 +34,11 @@ MARKED = {
     "bench/parallel/test_clusters.py": "cluster",
     "benchmarks": "benchmark",
 }
+# Third-party explainers run in processes of their own here; elsewhere in this process, which saves 4 s each.
+IN_OWN_PROCESSES = (
+    "bench/isolation", "bench/plugins", "bench/scoring/test_piece_keys.py",
+    "bench/scoring/test_sweep.py", "bench/submission", "docs/test_readme.py", "test_places.py",
+)  # fmt: skip
 KILLS_WORKERS = TESTS / "bench/parallel/test_fan_out.py"
 
 
@@ -124,6 +129,21 @@ def make_bundle(tmp_path: Path) -> MakeBundle:
 
 
 parser = functools.cache(typer.main.get_command)  # a program builds its parser once
+
+
+@pytest.fixture(autouse=True)
+def explainers_in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if any(request.path.is_relative_to(TESTS / place) for place in IN_OWN_PROCESSES):
+        return
+    if "torch" not in sys.modules:  # a light installation, or a test that loads little
+        return
+    from xmarl_bench.plugins import registry
+    from xmarl_bench.scoring import score
+
+    for module in (registry, score):
+        monkeypatch.setattr(module, "ask_explainer", lambda name, _=None: registry.find_explainer(name))
+    monkeypatch.setattr(score, "isolated", lambda explainer, _=None: explainer)
+    monkeypatch.setattr(score, "is_shipped_code", lambda _: True)
 
 
 @pytest.fixture

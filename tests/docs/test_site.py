@@ -16,7 +16,7 @@ SITE = runpy.run_path(str(MAKE))
 
 
 def test_every_document_is_a_page() -> None:
-    documents = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")]
+    documents = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("[a-z]*/README.md")]
     assert sorted(SITE["pages"]()) == sorted(path.relative_to(ROOT).as_posix() for path in documents)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 # Distributions that a light installation leaves out, and their modules.
 LARGE = {
+    "axe-playwright-python": ("axe_playwright_python",),
     "benchmarl": ("benchmarl",),
     "captum": ("captum",),
     "graph-explain": ("graph_explain",),

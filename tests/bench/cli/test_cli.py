@@ -52,7 +52,11 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
         ],
         names.POLICIES: [EntryPoint("broken-policies", "tests.bench.no_such:x", names.POLICIES)],
     }  # fmt: skip
-    monkeypatch.setattr(names, "entry_points", lambda group: points[group])
+    monkeypatch.setattr(
+        names,
+        "entry_points",
+        lambda group, name=None: [each for each in points[group] if name in (None, each.name)],
+    )
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Builds the wheel, or takes WHEEL, and spends a user's first ten minutes with it: in a clean environment and outside
-# of the repository, they list, score an explainer of their own and open the page. Every extra can be installed.
+# of the repository, they list, score an explainer of their own and open the page. All extras can be installed.
 set -euo pipefail
 repository=$(cd "$(dirname "$0")/.." && pwd)
 python=${PYTHON:-python3}
@@ -71,9 +71,11 @@ kill "$server"
 "$bin/python" -m pip install --quiet --no-deps ./my-explainer
 "$bin/xmarl-bench" check explainer my-explainer
 "$bin/xmarl-bench" score --policy "$policy" --explainer my-explainer --episodes 1 --timesteps 5 --out scores
-for extra in $("$bin/python" -c 'from importlib.metadata import metadata; print(*metadata("xmarl-bench").get_all("Provides-Extra"))'); do
-    wheel=$(echo "$folder"/dist/*.whl)
+extras=$("$bin/python" -c 'from importlib.metadata import metadata; print(*metadata("xmarl-bench").get_all("Provides-Extra"))')
+wheel=$(echo "$folder"/dist/*.whl)
+# All together; on a release (EACH_EXTRA) also one by one.
+for extra in "${extras// /,}" ${EACH_EXTRA:+$extras}; do
     "$bin/python" -m pip install --quiet --dry-run --constraint "$repository/constraints.txt" "$wheel[$extra]"
-    echo "wheel-test: the extra $extra can be installed"
+    echo "wheel-test: $extra can be installed"
 done
 echo "wheel-test: $(basename "$folder"/dist/*.whl) imports and scores outside of the repository"

@@ -113,10 +113,11 @@ def test_temporary_folders_are_private_and_deleted(strange: Strange) -> None:
 
 
 HARNESS = f"""
-import os, time
+import os, signal, time
 from xmarl_bench.isolation import process
 from xmarl_bench.isolation.limits import UNLIMITED
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored
 process.WORKER = {WORKER!r}
 stranger = process.Stranger("strange", UNLIMITED, "process")
 found, _ = stranger.ask({{}})

@@ -33,7 +33,12 @@ def values(texts: list[str]) -> list[float]:
 
 
 def pages_of(board: Path) -> list[str]:
-    found = [path.relative_to(board).as_posix() for path in board.rglob("*.html")]
+    """The largest page of each kind: of an explainer, a task, a cell, and those alone of their kind."""
+    of_kind: dict[str, Path] = {}
+    for path in sorted(board.rglob("*.html"), key=lambda each: (each.stat().st_size, each.name)):
+        kind = re.sub(r"-.*?(-n\d+)?\.html$", lambda match: "-cell" if match[1] else "", path.name)
+        of_kind[kind] = path
+    found = [path.relative_to(board).as_posix() for path in of_kind.values()]
     first = next(path for path in (board / "entries").glob("*.json"))
     identity = json.loads(first.read_bytes())["entry_id"][:16]
     return sorted([*found, f"entry.html#{identity}"])

@@ -23,6 +23,7 @@ from jinja2 import Environment, StrictUndefined
 from matplotlib.axes import Axes
 from xmarl_envs import TASKS
 
+from xmarl_bench.board.regulariser import kind_of
 from xmarl_bench.board.scores import Scores
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.statistics import Difference, over_runs
@@ -257,7 +258,7 @@ FINDINGS = who_leads, fid_delta_misleads, absence_decides, attention_is_learnt, 
 
 def undecided(scores: Scores) -> list[str]:
     """What the policies of the board cannot answer."""
-    families = sorted({policy["name"].split("-")[2] for policy in scores.policies})
+    families = sorted({kind_of(policy["architecture"]) for policy in scores.policies})
     kinds = Counter(
         (each["task"], each["n_agents"], bool(each["attention_entropy"])) for each in scores.policies
     )

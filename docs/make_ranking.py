@@ -12,6 +12,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+from xmarl_bench.board.scores import overall_ranking
 from xmarl_bench.counted import counted
 
 ROOT = Path(__file__).parent.parent
@@ -65,9 +66,7 @@ def _delta(ranking: dict[str, Any], name: str) -> float:
 
 def page(text: str, leaderboard: dict[str, Any]) -> str:
     """The README with its answer and its ranking, over all tasks and team sizes."""
-    (ranking,) = (
-        each for each in leaderboard["rankings"] if each["task"] is None and each["oracle"] == "enumerated"
-    )
+    ranking = overall_ranking(leaderboard)
     for name, part in (("answer", answer(ranking)), ("ranking", section(ranking))):
         begin, end = f"<!-- {name}:begin -->\n", f"<!-- {name}:end -->"
         text = text.split(begin)[0] + begin + part + end + text.split(end)[1]

@@ -10,6 +10,15 @@ import numpy as np
 from xmarl_bench.metrics.statistics import Difference, over_runs
 
 
+def overall_ranking(board: dict[str, Any]) -> dict[str, Any]:
+    """The ranking over all tasks and team sizes, by enumerated oracles."""
+    (ranking,) = (
+        each for each in board["rankings"] if each["task"] is None and each["oracle"] == "enumerated"
+    )
+    found: dict[str, Any] = ranking
+    return found
+
+
 @dataclass(frozen=True)
 class Scores:
     """The board's values: metric -> explainer or control -> policy."""
@@ -21,9 +30,7 @@ class Scores:
 
     @classmethod
     def of(cls, board: dict[str, Any]) -> Scores:
-        (ranking,) = (
-            each for each in board["rankings"] if each["task"] is None and each["oracle"] == "enumerated"
-        )
+        ranking = overall_ranking(board)
         ranked = [row for row in ranking["rows"] if row["rank"] is not None]
         compared = {(each["name"], each["n_agents"]) for each in ranking["policies"]}
         policies: list[dict[str, Any]] = []

@@ -53,6 +53,9 @@ test-pythons:  ## Test on every Python at hand what needs no torch; WHOLE=1: eve
 test-lowest:  ## Test the lowest versions that pyproject.toml allows; WHOLE=1: with torch
 	$(PYTHON) tests/pythons.py --lowest $(if $(WHOLE),--whole) 3.11
 
+test-newest:  ## Test the environments with the newest releases of their clients
+	$(PYTHON) tests/pythons.py --newest 3.11
+
 lint: $(STAMP)  ## Check style and format with ruff
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

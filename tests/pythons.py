@@ -1,9 +1,10 @@
-"""Runs tests on every Python at hand, each in its own environment: `make test-pythons`, `make test-lowest`.
+"""Runs tests on every Python at hand, each in its own environment.
 
 By default the tests that need no large package such as torch; with --whole all packages and the whole suite.
 With --lowest the lowest versions that pyproject.toml allows, and of --whole the quick tests.
+With --newest today's release of every library, and the tests of the environments with their clients.
 
-    python tests/pythons.py [--whole] [--lowest] [3.12 3.13]
+    python tests/pythons.py [--whole] [--lowest | --newest] [3.12 3.13]
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ def main() -> int:
     )
     parser.add_argument("versions", nargs="*", default=VERSIONS, metavar="3.x")
     parser.add_argument("--whole", action="store_true", help="all packages and the whole suite")
-    parser.add_argument("--lowest", action="store_true", help="the versions of constraints-lowest.txt")
+    releases = parser.add_mutually_exclusive_group()
+    releases.set_defaults(releases="pinned")
+    for name, of in (("lowest", "versions of constraints-lowest.txt"), ("newest", "today's releases")):
+        releases.add_argument(f"--{name}", action="store_const", const=name, dest="releases", help=of)
     asked = parser.parse_args()
     results: dict[str, str] = {}
     for version in asked.versions:
@@ -38,8 +42,8 @@ def main() -> int:
             results[version] = "not installed here"
             continue
         print(f"Python {version}", flush=True)
-        environment = made(python, version, asked.whole, asked.lowest)
-        command: list[str | Path] = [environment, "-m", "pytest", *options(asked.whole, asked.lowest)]
+        environment = made(python, version, asked.whole, asked.releases)
+        command: list[str | Path] = [environment, "-m", "pytest", *options(asked.whole, asked.releases)]
         code = subprocess.run(command, cwd=ROOT).returncode
         results[version] = "passed" if code == 0 else f"failed (exit code {code})"
     print(*(f"Python {version}: {result}" for version, result in results.items()), sep="\n")
@@ -59,14 +63,21 @@ def interpreter(version: str) -> str | None:
     return None
 
 
-def made(python: str, version: str, whole: bool, lowest: bool) -> Path:
-    """The Python of an environment, `.venv-3.x` or `.venv-lowest-3.x`, with what the tests need."""
-    folder = ROOT / (f".venv-lowest-{version}" if lowest else f".venv-{version}")
+def made(python: str, version: str, whole: bool, releases: str) -> Path:
+    """The Python of an environment, such as `.venv-3.12` or `.venv-lowest-3.12`, with what the tests need."""
+    folder = ROOT / (f".venv-{version}" if releases == "pinned" else f".venv-{releases}-{version}")
     program = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     if not program.exists():
         subprocess.run([python, "-m", "venv", folder], check=True)
-    versions = ROOT / ("constraints-lowest.txt" if lowest else "constraints.txt")
-    install: list[str | Path] = [program, "-m", "pip", "install", "--quiet", "--constraint", versions]
+    install: list[str | Path] = [program, "-m", "pip", "install", "--quiet"]
+    if releases == "newest":
+        # BenchMARL needs an older TorchRL.
+        clients = [each for each in requirements() if not each.startswith("benchmarl")]
+        install += ["--upgrade", "--upgrade-strategy", "eager"]
+        subprocess.run([*install, *clients, "--editable", ROOT], check=True)
+        return program
+    name = "constraints.txt" if releases == "pinned" else "constraints-lowest.txt"
+    install += ["--constraint", ROOT / name]
     if whole:
         subprocess.run([*install, "--editable", f"{ROOT}[dev]"], check=True)
     else:
@@ -93,9 +104,11 @@ def requirements() -> list[str]:
     return sorted(needed)
 
 
-def options(whole: bool, lowest: bool) -> list[str]:
+def options(whole: bool, releases: str) -> list[str]:
+    if releases == "newest":
+        return ["tests/envs"]
     if whole:
-        if lowest:
+        if releases == "lowest":
             return ["-m", QUICK]
         return [] if sys.platform == "linux" else ["-m", "not browser"]  # Chromium is found on Linux only
     return ["--light", "-m", LIGHT]

@@ -1,6 +1,7 @@
 """The reference policies: every run that is trained for the benchmark, by name.
 
-`xmarl-train --reproduce NAME` trains one of them, `--reproduce all` those missing in a folder of runs.
+`xmarl-train --reproduce NAME` trains one of them, `--reproduce all` those missing in a folder of runs, and
+`--reproduce dose` those of docs/dose.md.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ SEEDS = (0, 1, 2)
 EPISODES = 200  # to measure policies; scoring plays the first 50 of them
 # lambda of the attention-entropy term: chosen to halve the entropy while messages still help.
 LAMBDAS = {"blind_navigation_v0": 0.1, "blind_passage_v0": 0.03, "blind_discovery_v0": 0.03}
+# What a larger weight does to attention is asked of these runs (docs/dose.md), which are not shipped.
+DOSES, DOSE_SEEDS = (0.0, 0.03, 0.1, 0.3), (0, 1, 2, 3, 4)
 # Factors on the recipe's frames: larger teams take longer to learn.
 LONGER = {("blind_navigation_v0", 4): 1.5, ("blind_navigation_v0", 5): 2.0}
 
@@ -37,6 +40,21 @@ def reference_runs() -> dict[str, Run]:
     return {run.name: run for run in runs}
 
 
+def dose_runs() -> dict[str, Run]:
+    """Name -> run of navigation with three agents: each weight of `DOSES` with each of `DOSE_SEEDS`."""
+    recipe = _recipe("blind_navigation_v0", "residual", 3)
+    runs = [Run(recipe, 3, weight, seed) for seed in DOSE_SEEDS for weight in DOSES]
+    return {run.name: run for run in runs}
+
+
+GROUPS = {"all": reference_runs, "dose": dose_runs}  # for --reproduce
+
+
+def planned_runs() -> dict[str, Run]:
+    """Every run that has a name."""
+    return reference_runs() | dose_runs() | schedule_runs()
+
+
 def _recipe(task: str, family: Family, n_agents: int) -> Recipe:
     recipe = recipe_for(task, family=family)
     return replace(recipe, frames=round(recipe.frames * LONGER.get((task, n_agents), 1.0)))
@@ -47,7 +65,7 @@ def run_named(name: str) -> Run:
 
     Raises InputError if the name is unknown, or if the card records more than one run.
     """
-    runs, shipped = reference_runs() | schedule_runs(), shipped_policies()
+    runs, shipped = planned_runs(), shipped_policies()
     if name in shipped:
         training = load_card(shipped[name]).training
         fields = ("n_agents", "attention_entropy", "seed", "caution", "start_from")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from xmarl_baselines.paper_schedule import schedule_runs
-from xmarl_baselines.reference import EPISODES, reference_runs, run_named
+from xmarl_baselines.reference import EPISODES, GROUPS, planned_runs, run_named
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.own_process import train_in_own_process
 from xmarl_baselines.training.recipes import recipe_for
@@ -37,7 +36,7 @@ from xmarl_bench.rollout.evaluation import Performance, evaluate_policy
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
-# Options of a run with --task, and of --reproduce all.
+# Options of a run with --task, and of --reproduce with a group.
 OF_A_RUN = (
     "family",
     "agents",
@@ -60,7 +59,10 @@ def command(
         str | None, typer.Option(help="blind_navigation_v0, blind_passage_v0 or blind_discovery_v0")
     ] = None,
     reproduce: Annotated[
-        str | None, typer.Option(help="a reference policy to train exactly as it was, or `all` of them")
+        str | None,
+        typer.Option(
+            help="a policy to train exactly as it was, `all` reference policies, or those of a `dose`"
+        ),
     ] = None,
     jobs: Annotated[
         int | None,
@@ -102,10 +104,9 @@ def command(
         )
     if reproduce is not None:
         _refuse(context, OF_A_RUN, "trains a policy as it was; to change something, train one with --task")
-    if reproduce != "all":
-        _refuse(context, OF_MANY, "trains one policy; side by side are those of --reproduce all")
-    if reproduce == "all":
-        raise typer.Exit(train_missing(out, Workers(jobs, backend, address)))
+    if reproduce in GROUPS:
+        raise typer.Exit(train_missing(GROUPS[reproduce](), out, Workers(jobs, backend, address)))
+    _refuse(context, OF_MANY, "trains one policy; side by side are those of --reproduce all")
     if reproduce is not None:
         run = run_named(reproduce)
         _train(run, out, resume=resume, start_from=None, episodes=EPISODES)
@@ -145,13 +146,13 @@ def _train(
     print(f"policy in {folder / 'policy'}: xmarl-bench score --policy {folder / 'policy'}")
 
 
-def train_missing(out: Path, workers: Workers) -> int:
-    """Train the reference policies that are not finished in `out`, each in a process; returns the exit code.
+def train_missing(names: Iterable[str], out: Path, workers: Workers) -> int:
+    """Train the policies that are not finished in `out`, each in a process; returns the exit code.
 
     Runs begun earlier are resumed. A failed run does not stop the others; its output is in `out`/NAME.log.
     Workers on other machines need `out` on a file system that all share.
     """
-    missing = [name for name in reference_runs() if not (out / name / "policy" / CARD).exists()]
+    missing = [name for name in names if not (out / name / "policy" / CARD).exists()]
     out.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=True)
     failed = 0
@@ -220,7 +221,7 @@ def train_and_save(
 
 def _command(run: Run) -> str:
     """The command that trains this policy again."""
-    if (reference_runs() | schedule_runs()).get(run.name) == run:
+    if planned_runs().get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"
     usual, start = recipe_for(run.recipe.task), run.recipe.attention_start
     if run.start_from is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from xmarl_baselines.policies import shipped_policies
-from xmarl_baselines.reference import SEEDS, SIZES, reference_runs, run_named
+from xmarl_baselines.reference import DOSE_SEEDS, DOSES, SEEDS, SIZES, dose_runs, reference_runs, run_named
 from xmarl_baselines.training.command import _command, main, train_and_save, train_missing
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.model_selection import weights_at
@@ -147,6 +147,14 @@ def test_reference_runs_have_the_names_of_their_settings() -> None:
     assert {(run.recipe.family, run.seed) for run in first} == {(FAMILIES[0], SEEDS[0])}
 
 
+def test_a_dose_is_every_weight_with_every_seed_and_nothing_else_differs() -> None:
+    runs = dose_runs()
+    assert len(runs) == len(DOSES) * len(DOSE_SEEDS) and all(run.name == name for name, run in runs.items())
+    assert len({replace(run, attention_entropy=0.0, seed=0) for run in runs.values()}) == 1
+    both = runs.keys() & reference_runs().keys()
+    assert len(both) == 2 * len(SEEDS) and all(runs[name] == reference_runs()[name] for name in both)
+
+
 def test_the_command_names_what_differs_from_the_recipe() -> None:
     passage = recipe_for("blind_passage_v0")
     assert _command(Run(passage, 3)) == "xmarl-train --reproduce passage-n3-residual-lambda0-seed0"
@@ -221,17 +229,14 @@ def test_a_worker_that_waits_for_a_training_does_not_import_torch() -> None:
 
 
 def test_reproduce_all_trains_missing_runs_and_reports_failures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     names = [RUN, "passage-n3-residual-lambda0-seed0"]
-    monkeypatch.setattr(
-        "xmarl_baselines.training.command.reference_runs", lambda: dict.fromkeys(["a", *names])
-    )
     for name in names:  # one is finished, one holds another run
         (tmp_path / name / "policy").mkdir(parents=True)
     (tmp_path / names[0] / "policy" / "policy.json").write_text("{}")
     (tmp_path / names[1] / "settings.json").write_text("{}")
-    assert train_missing(tmp_path, Workers(2)) == 1
+    assert train_missing(["a", *names], tmp_path, Workers(2)) == 1
     said = capfd.readouterr().err
     assert "2 of 2" in said and names[0] not in said
     assert f"{names[1]} FAILED" in said

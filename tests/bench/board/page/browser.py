@@ -71,10 +71,12 @@ def browse(chromium: Browser) -> Iterator[Browse]:
     assert not found, "; ".join(found)
 
 
-def violations(page: Page) -> list[str]:
-    """What axe-core finds on the page as it is: rule and elements."""
-    page.evaluate(axe_script())
-    found = page.evaluate("axe.run(document, { preload: false })")
+def violations(page: Page, *rules: str) -> list[str]:
+    """What axe-core finds on the page as it is, by these rules or by all: rule and elements."""
+    if not page.evaluate("'axe' in window"):
+        page.evaluate(axe_script())
+    only = {"runOnly": list(rules)} if rules else {}
+    found = page.evaluate("only => axe.run(document, { preload: false, ...only })", only)
     return [
         f"{each['id']}: {[node['html'][:200] for node in each['nodes'][:3]]}" for each in found["violations"]
     ]

@@ -20,6 +20,8 @@ from tests.helpers.light import missing
 
 # Imports nothing that imports torch: the process that distributes tests reads this file too.
 
+gc.disable()  # until all tests are imported: the collector would search what stays anyway
+
 # Ray reads these once per process, at its first use. A head takes work only from processes that have its
 # token. By default workers have a low priority, and on a busy machine would wait for minutes.
 os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_worker_niceness": "0"}
@@ -88,6 +90,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     slow = {item.path for item in items if any(map(item.get_closest_marker, {"slow", *MARKED.values()}))}
     items.sort(key=lambda item: (item.path != KILLS_WORKERS, item.path not in slow))
     gc.freeze()  # the collector need not scan imported objects again
+    gc.enable()
 
 
 @pytest.fixture

@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from xmarl_bench.parallel.loading import without_collector
+
 if TYPE_CHECKING:
     from xmarl_bench.board import build_board
     from xmarl_bench.entry.file import read_entry, write_entry
@@ -75,7 +77,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module 'xmarl_bench' has no attribute {name!r}")
-    value = getattr(import_module(f"xmarl_bench.{_MODULES[name]}"), name)
+    with without_collector():
+        value = getattr(import_module(f"xmarl_bench.{_MODULES[name]}"), name)
     globals()[name] = value
     return value
 

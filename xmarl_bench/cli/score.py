@@ -34,6 +34,7 @@ from xmarl_bench.cli.options import (
     TrustCode,
 )
 from xmarl_bench.isolation.limits import UNLIMITED
+from xmarl_bench.parallel.loading import without_collector
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
 
 if TYPE_CHECKING:
@@ -146,12 +147,13 @@ def score(
     read_entries(out / "entries")  # fails now rather than after the run if the board cannot be built
 
     # Whatever needs no network was checked above: these import torch, which takes seconds.
-    from xmarl_bench.board import build_board
-    from xmarl_bench.cli import tables
-    from xmarl_bench.cli.score_table import print_scores
-    from xmarl_bench.explain.explainer import on_device
-    from xmarl_bench.scoring.request import plan
-    from xmarl_bench.scoring.score import Failed, score_requests
+    with without_collector():
+        from xmarl_bench.board import build_board
+        from xmarl_bench.cli import tables
+        from xmarl_bench.cli.score_table import print_scores
+        from xmarl_bench.explain.explainer import on_device
+        from xmarl_bench.scoring.request import plan
+        from xmarl_bench.scoring.score import Failed, score_requests
 
     found, not_loaded = select_explainers(names, limits)
     explainers = [on_device(each, device) for each in found]

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 import cloudpickle
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.parallel.loading import without_collector
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
@@ -88,7 +89,8 @@ def _answer(call: bytes) -> bytes:
     """On a worker: the outcome of a pickled call, pickled."""
 
     def run() -> bytes:
-        function, unit = pickle.loads(call)
+        with without_collector():  # a worker's first call imports all that it needs
+            function, unit = pickle.loads(call)
         return bytes(cloudpickle.dumps(function(unit)))
 
     answer = attempt(run)

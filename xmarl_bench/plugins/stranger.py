@@ -20,6 +20,7 @@ from typing import IO, Any
 from xmarl_bench.isolation.keeper import PARENT_DEATH, prctl
 from xmarl_bench.isolation.landlock import close_in
 from xmarl_bench.isolation.limits import Limits
+from xmarl_bench.parallel.loading import without_collector
 
 Answer = tuple[dict[str, Any], bytes]
 
@@ -70,12 +71,13 @@ class Worker:
 
     def load(self, question: dict[str, Any]) -> Answer:
         """Load an explainer, which runs its code; returns its declarations."""
-        import torch  # noqa: F401  # before the code, so that it cannot be kept from loading
+        with without_collector():
+            import torch  # noqa: F401  # before the code, so that it cannot be kept from loading
 
-        from xmarl_bench.explain.adapters import origin_of_explainer
-        from xmarl_bench.explain.simulated import SIMULATOR
-        from xmarl_bench.origin.code_hash import object_sha256
-        from xmarl_bench.plugins.registry import find_explainer
+            from xmarl_bench.explain.adapters import origin_of_explainer
+            from xmarl_bench.explain.simulated import SIMULATOR
+            from xmarl_bench.origin.code_hash import object_sha256
+            from xmarl_bench.plugins.registry import find_explainer
 
         name = question.get("explainer")
         self.name = f"explainer {name!r}"

@@ -14,6 +14,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,11 @@ from jinja2 import Environment, StrictUndefined
 from matplotlib.axes import Axes
 from xmarl_envs import TASKS
 
-from xmarl_bench.board.regulariser import kind_of
+from xmarl_bench.board.answer import answer_of, answer_on_term, difference, effect_of
+from xmarl_bench.board.regulariser import compared, families_of, kind_of, score_of, values_of
 from xmarl_bench.board.scores import Scores
 from xmarl_bench.metrics.absence import Absence
-from xmarl_bench.metrics.statistics import Difference, over_runs
+from xmarl_bench.metrics.statistics import Difference
 from xmarl_bench.metrics.table import ORDER, UNDER_ABSENCES
 
 ROOT = Path(__file__).parent.parent
@@ -58,6 +60,11 @@ def of(scores: Scores, a: str, b: str) -> str:
     return interval(scores.difference(ORDER, a, b))
 
 
+def task_metric(policy: dict[str, Any], metric: str) -> float | None:
+    summary = policy["metrics"][metric]
+    return None if summary is None else summary["value"]
+
+
 def dots(axis: Axes, values: Sequence[float], y: int, colour: str) -> None:
     """A line of the picture: a dot for each policy, and a bar at the mean."""
     axis.plot(values, [y] * len(values), "o", color=colour, alpha=0.35, markersize=4, markeredgewidth=0)
@@ -75,15 +82,7 @@ class Finding:
 
 def who_leads(scores: Scores) -> Finding:
     best, *others = scores.tied
-    text = (
-        f"Of {len(scores.explainers)} explainers, {best} ranks the messages best: message fidelity "
-        f"{scores.mean(ORDER, best):.2f} over {len(scores.policies)} policies, where 0 is a random ranking "
-        f"and 1 the best one. "
-    )
-    text += f"It does not differ significantly from {', '.join(others)}." if others else "It leads surely."
-    below = next((name for name in scores.explainers if name not in scores.tied), None)
-    if below is not None:
-        text += f" The first that is significantly worse is {below}: {of(scores, best, below)} for {best}."
+    text = " ".join(answer_of(scores.ranking))
 
     def draw(axis: Axes) -> None:
         names = [*CONTROLS, *reversed(scores.explainers)]
@@ -211,46 +210,29 @@ def defaults_fail(scores: Scores) -> Finding:
 
 
 def regulariser(scores: Scores) -> Finding:
-    pairs = _with_and_without(scores)
-    names = [policy["name"] for policy in scores.policies]
-    value = dict(zip(names, scores.of_policies(ORDER, "attention"), strict=True))
-    gain = over_runs([[value[b["name"]]] for _, b in pairs], [[value[a["name"]]] for a, _ in pairs])
+    families = families_of(scores.tables)
+    attention = partial(score_of, explainer="attention")
+    gain = compared(families, attention)
+    text = answer_on_term("attention", gain)
     entropy, success = (
-        over_runs(*([[pair[side]["metrics"][metric]["value"]] for pair in pairs] for side in (1, 0)))
+        compared(families, partial(task_metric, metric=metric))
         for metric in ("attention_entropy", "success_rate")
     )
-    said = more(
-        gain, "makes attention truer", "makes attention less true", "may or may not make attention truer"
-    )
-    text = (
-        f"Attention-entropy minimisation {said}: {interval(gain)} message fidelity of attention, over "
-        f"{len(pairs)} pairs of training runs of the same cell and seed. Entropy changes by "
-        f"{interval(entropy)} nats, success by {interval(success)}."
-    )
+    if entropy is not None and success is not None:
+        text += f" Attention entropy changes by {difference(entropy)} nats, success by {difference(success)}."
 
     def draw(axis: Axes) -> None:
-        for a, b in pairs:
-            ends = value[a["name"]], value[b["name"]]
-            axis.plot(ends, "o-", color=BLUE if ends[1] >= ends[0] else ORANGE)
-            label = f"{a['task'].split('_')[1]} N = {a['n_agents']}"
-            axis.annotate(label, (1, ends[1]), xytext=(7, -3), textcoords="offset points", fontsize=8)
+        for family, *each in values_of(families, attention):
+            axis.plot(each, "o-", color=BLUE if each[1] >= each[0] else ORANGE)
+            label = f"{family['task'].split('_')[1]} N = {family['n_agents']}"
+            axis.annotate(label, (1, each[1]), xytext=(7, -3), textcoords="offset points", fontsize=8)
         axis.set_xticks([0, 1], ["without the term", "with it"])
         axis.set_xlim(-0.2, 1.7)
         axis.set_ylabel("message fidelity of attention")
 
-    title = f"Minimising attention entropy {said}"
+    effect = "may or may not change" if gain is None else effect_of(gain)
+    title = f"Attention-entropy regularisation {effect} message fidelity of attention"
     return Finding("entropy", title, text, draw, "Message fidelity of attention without and with the term")
-
-
-def _with_and_without(scores: Scores) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-    """Policies of the same cell and training seed, without the term and with it."""
-    return [
-        (a, b)
-        for a in scores.policies
-        for b in scores.policies
-        if not a["attention_entropy"] and b["attention_entropy"]
-        and all(a[key] == b[key] for key in ("task", "n_agents", "training_seed"))
-    ]  # fmt: skip
 
 
 FINDINGS = who_leads, fid_delta_misleads, absence_decides, attention_is_learnt, defaults_fail, regulariser

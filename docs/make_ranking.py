@@ -12,6 +12,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+from xmarl_bench.board.answer import answer_of, gamed_by
 from xmarl_bench.board.scores import overall_ranking
 from xmarl_bench.counted import counted
 
@@ -25,16 +26,8 @@ CONTROLS = {
 
 
 def answer(ranking: dict[str, Any]) -> str:
-    """Who is first, how surely, and what the controls get."""
-    alike = [row["explainer"] for row in ranking["rows"] if row["rank"] is not None and row["tie_group"] == 1]
-    others = f", without a significant difference to {', '.join(alike[1:])}" if alike[1:] else ""
-    best = alike[0]
-    text = (
-        f"**{best}** is first{others} (95 %, over {counted(len(ranking['policies']), 'policy')}). "
-        f"The nearest agent, which ignores the policy, gets {_value(ranking, 'nearest'):.2f}. "
-        f"The mask of ones gets {_value(ranking, 'all-ones'):.2f}, although its FidDelta is "
-        f"{_delta(ranking, 'all-ones'):.2f} ({best}: {_delta(ranking, best):.2f})."
-    )
+    """Who leads, how surely, who is no better than a control, and what the mask of ones gets."""
+    text = " ".join([*answer_of(ranking), gamed_by(ranking["rows"])])
     return "\n".join(textwrap.wrap(text, 118, break_on_hyphens=False)) + "\n"
 
 
@@ -54,14 +47,6 @@ def section(ranking: dict[str, Any]) -> str:
         interval = "" if row["interval"] is None else " [{:.2f}, {:.2f}]".format(*row["interval"])
         lines.append(f"| {name} | {row['value']:.2f}{interval} | {row['means']['fid_delta']:.2f} |")
     return "\n".join(lines) + "\n"
-
-
-def _value(ranking: dict[str, Any], name: str) -> float:
-    return next(float(row["value"]) for row in ranking["rows"] if row["explainer"] == name)
-
-
-def _delta(ranking: dict[str, Any], name: str) -> float:
-    return next(float(row["means"]["fid_delta"]) for row in ranking["rows"] if row["explainer"] == name)
 
 
 def page(text: str, leaderboard: dict[str, Any]) -> str:

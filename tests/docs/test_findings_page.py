@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from tests.helpers.made_entries import made_entry
+from xmarl_bench.board import board_of
 from xmarl_bench.board.scores import Scores
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -29,29 +31,19 @@ def script() -> dict[str, Any]:
     return runpy.run_path(str(DOCS / "make_findings.py"))
 
 
-def scores(values: dict[str, float], *, tied: int = 1) -> Scores:
+def scores(values: dict[str, float]) -> Scores:
     """Two pairs of policies: each explainer's value, by default 0, rises by 0.01 from policy to policy."""
-    policies = [
-        {
-            "name": f"{task}-n3-residual-lambda{weight}-seed0",
-            "task": f"blind_{task}_v0",
-            "n_agents": 3,
-            "training_seed": 0,
-            "attention_entropy": weight,
-            "metrics": {name: {"value": 1.0 + weight} for name in ("attention_entropy", "success_rate")},
-        }
-        for task in ("passage", "discovery")
-        for weight in (0.0, 0.1)
-    ]
-    of_policies: dict[str, dict[str, float]] = {
-        name: {
-            str(policy["name"]): values.get(name, 0.0) + 0.01 * k * (name in EXPLAINERS)
-            for k, policy in enumerate(policies)
-        }
-        for name in (*EXPLAINERS, *CONTROLS)
-    }
-    ranked = sorted(EXPLAINERS, key=lambda name: -values.get(name, 0.0))
-    return Scores(policies, ranked, ranked[:tied], dict.fromkeys(METRICS, of_policies))
+    controls = {name: values.get(name, 0.0) for name in CONTROLS}
+    policies = [(task, weight) for task in ("passage", "discovery") for weight in (0.0, 0.1)]
+    entries = []
+    for k, (task, weight) in enumerate(policies):
+        for name in EXPLAINERS:
+            levels: dict[str, Any] = dict.fromkeys(METRICS, values.get(name, 0.0) + 0.01 * k)
+            entries.append(
+                made_entry(f"{task}-n3-residual-lambda{weight}-seed0", name, 0.5, task=f"blind_{task}_v0",
+                           attention_entropy=weight, controls=controls, **levels)
+            )  # fmt: skip
+    return Scores.of(board_of((entry.file_name, entry) for entry in entries))
 
 
 def test_the_page_is_that_of_the_board(script: dict[str, Any]) -> None:
@@ -65,10 +57,11 @@ def test_the_page_is_that_of_the_board(script: dict[str, Any]) -> None:
 def test_a_clear_winner_leads_surely_and_a_tie_does_not(script: dict[str, Any]) -> None:
     clear = script["who_leads"](scores({"attention": 0.9, "occlusion": 0.5}))
     assert clear.title == "attention leads surely"
-    assert "occlusion: +0.40 [+0.40, +0.40] for attention" in clear.text
-    tie = script["who_leads"](scores({"attention": 0.9, "occlusion": 0.9}, tied=2))
+    assert "`attention` leads" in clear.text
+    assert "The next, `occlusion`, is 0.400 (0.400 to 0.400) below." in clear.text
+    tie = script["who_leads"](scores({"attention": 0.9, "occlusion": 0.9}))
     assert tie.title == "Several explainers lead, and none leads surely"
-    assert "It does not differ significantly from occlusion." in tie.text
+    assert "`attention` and `occlusion` lead" in tie.text
 
 
 @pytest.mark.parametrize(
@@ -95,8 +88,8 @@ def test_defaults_are_judged_beside_chance(script: dict[str, Any]) -> None:
 
 def test_the_term_is_judged_over_pairs_of_runs(script: dict[str, Any]) -> None:
     found = script["regulariser"](scores({"attention": 0.5}))
-    assert "+0.01 [+0.01, +0.01] message fidelity of attention, over 2 pairs" in found.text
-    assert found.title == "Minimising attention entropy makes attention truer"
+    assert "a difference of 0.010 (0.010 to 0.010), over 2 pairs of training runs." in found.text
+    assert found.title == "Attention-entropy regularisation raises message fidelity of attention"
 
 
 def test_scores_are_those_of_the_ranking_over_all_tasks() -> None:
@@ -107,6 +100,7 @@ def test_scores_are_those_of_the_ranking_over_all_tasks() -> None:
         "rankings": [
             {
                 "task": None,
+                "protocol": "p",
                 "oracle": "enumerated",
                 "policies": [{"name": "a", "n_agents": 3}],
                 "rows": [
@@ -119,11 +113,12 @@ def test_scores_are_those_of_the_ranking_over_all_tasks() -> None:
         "tables": [
             {
                 "task": "t",
+                "protocol": protocol,
                 "n_agents": n_agents,
                 "oracle": "enumerated",
                 "policies": [{"name": name, "rows": [row("x", 0.5), row("y", None)]}],
             }
-            for name, n_agents in (("a", 3), ("a", 8), ("b", 3))
+            for name, n_agents, protocol in (("a", 3, "p"), ("a", 3, "q"), ("a", 8, "p"), ("b", 3, "p"))
         ],
     }
     found = Scores.of(board)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -48,24 +49,28 @@ def made_entry(
     submitter: str | None = None,
     oracle: OracleRecord | None = None,
     trained: int | None = None,
+    training_seed: int | None = 0,
+    residual: bool = False,
+    controls: Mapping[str, float] | None = None,
     **constant: float | None,
 ) -> Entry:
     """Metrics of an episode are within 0.1 of `level`, in [0, 1]; those in `constant` have a fixed value.
 
-    The draws depend only on the names; budgets rise from 0 to `level`, between 0 and 1.
+    controls: values of all metrics of a control, by default 0.1 of each that needs nothing but a policy. The
+    draws depend only on the names; budgets rise from 0 to `level`, between 0 and 1.
     """
     rng = np.random.default_rng(derived_seed("made", policy, explainer, task, n_agents))
     seeds = episode_seeds(0, episodes)
     rows = tuple(_row(seed, level, n_agents, constant, rng) for seed in seeds)
     metrics = {name: _summary([getattr(row, name) for row in rows]) for name in Metrics.model_fields}
-    shared = {name: _summary([0.1] * episodes) for name in ControlMetrics.model_fields}
+    levels = {**dict.fromkeys((*CONTROLS, NEAREST, INVERTED), 0.1), **(controls or {})}
     result = CellResult(
         task=task,
         n_agents=n_agents,
         max_cycles=100,
         metrics=Metrics.model_validate(metrics),
         not_measured={"no_object_collision": "the task has no walls"},
-        controls={name: ControlMetrics.model_validate(shared) for name in (*CONTROLS, NEAREST, INVERTED)},
+        controls={name: _control(each, episodes) for name, each in levels.items()},
         behaviour_episodes=episodes,
         oracle=oracle,
         episodes=rows,
@@ -77,9 +82,9 @@ def made_entry(
             task=task,
             n_agents=n_agents if trained is None else trained,
             weights_sha256=f"{derived_seed(policy):064x}",
-            architecture=ARCHITECTURE,
+            architecture=ARCHITECTURE.model_copy(update={"residual": residual}),
             attention_entropy=attention_entropy,
-            training_seed=0,
+            training_seed=training_seed,
         ),
         explainer=ExplainerRecord(
             name=explainer, distribution="made", version="1", entry_point=f"made:{explainer}",
@@ -102,6 +107,13 @@ def made_board(policies: Sequence[str], explainers: dict[str, float]) -> Iterato
     for k, policy in enumerate(policies):
         for explainer, level in explainers.items():
             yield made_entry(policy, explainer, level, n_agents=3 + k % 3, attention_entropy=0.5 * (k % 2))
+
+
+@cache
+def _control(level: float, episodes: int) -> ControlMetrics:
+    return ControlMetrics.model_validate(
+        {name: _summary([level] * episodes) for name in ControlMetrics.model_fields}
+    )
 
 
 def _row(

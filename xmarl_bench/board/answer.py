@@ -10,7 +10,8 @@ from typing import Any
 
 from xmarl_bench.board.columns import GAMED, ORDER
 from xmarl_bench.board.tables import BEATEN
-from xmarl_bench.explain.control_names import RANDOM
+from xmarl_bench.counted import counted
+from xmarl_bench.explain.control_names import BY_ZERO, RANDOM
 from xmarl_bench.metrics.table import by_name
 
 MOST_NAMED = 6
@@ -68,36 +69,42 @@ def answer_about(name: str, ranking: Json | None) -> list[str]:
         above = row["above"][control]
         if above is not None and above["interval"] is not None:
             shown = "is better" if beats(row, control) else "is not shown to be better"
-            said.append(f"It {shown} than `{control}`: by {_difference(above)}.")
+            said.append(f"It {shown} than `{control}`: by {difference(above)}.")
     return said
 
 
 def answer_on_term(name: str, found: Json | None) -> str:
-    """What attention-entropy regularisation does to an explainer; found: its row of `regulariser_of`."""
+    """What attention-entropy regularisation does to an explainer; found: its part of `regulariser_of`."""
     if found is None:
         return (
-            f"No pair of policies with and without attention-entropy regularisation has scores of `{name}`."
+            f"No pair of ranked policies with and without attention-entropy regularisation has scores of "
+            f"`{name}`."
         )
-    interval, value = found["interval"], found["difference"]
-    if interval is None or interval[0] <= 0.0 <= interval[1]:
-        verb = "is not shown to change"
-    else:
-        verb = "raises" if value > 0.0 else "lowers"
-    of = f"{found['n']} {'family' if found['n'] == 1 else 'families'}"
     return (
-        f"Attention-entropy regularisation {verb} the {METRIC.title} of `{name}`: {number(found['without'])} "
-        f"without and {number(found['with'])} with it, a difference of {_difference(found)}, over {of} of "
-        "policies."
+        f"Attention-entropy regularisation {effect_of(found)} the {METRIC.title} of `{name}`: "
+        f"{number(found['without'])} without and {number(found['with'])} with it, a difference of "
+        f"{difference(found)}, over {counted(found['n'], 'pair')} of training runs."
     )
 
 
+def effect_of(found: Json) -> str:
+    """What a difference and its interval allow to say of the term: a verb."""
+    interval = found["interval"]
+    if interval is None or interval[0] <= 0.0 <= interval[1]:
+        return "is not shown to change"
+    return "raises" if found["difference"] > 0.0 else "lowers"
+
+
 def gamed_by(rows: Sequence[Json]) -> str:
-    """How a control and the first explainer compare by the metric that can be gamed, and by the order."""
+    """How a control and the first explainer compare by the metric that can be gamed, and by the order.
+
+    The control is the best by that metric of those that know nothing: not an oracle, which is made to win it.
+    """
     gamed = by_name()[GAMED].title
-    first = next((row for row in rows if row["rank"] is not None and row["means"][GAMED] is not None), None)
-    fooling = [
-        row for row in rows if row["control"] and row["means"][GAMED] is not None and row["value"] < 0.5
-    ]
+    known = [row for row in rows if row["means"][GAMED] is not None]
+    first = next((row for row in known if row["rank"] is not None), None)
+    fooling = [row for row in known if row["control"] and row["explainer"] not in BY_ZERO]
+    fooling = [row for row in fooling if row["value"] < 0.5]
     if first is None or not fooling:
         return ""
     control = max(fooling, key=lambda row: row["means"][GAMED])
@@ -117,7 +124,7 @@ def _lead(lead: Json | None, ties: Sequence[Json]) -> str:
         if ties
         else "The next, "
     )
-    return f"{same}`{lead['over']}`, is {_difference(lead)} below."
+    return f"{same}`{lead['over']}`, is {difference(lead)} below."
 
 
 def _not_beaten(ranked: Sequence[Json]) -> list[str]:
@@ -142,7 +149,8 @@ def _value(row: Json) -> str:
     return number(row["value"]) + known
 
 
-def _difference(found: Json) -> str:
+def difference(found: Json) -> str:
+    """A difference with its interval."""
     interval = found["interval"]
     known = "" if interval is None else f" ({number(interval[0])} to {number(interval[1])})"
     return number(found["difference"]) + known

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from xmarl_bench.board.charts import axis_of, half_density
 from xmarl_bench.board.columns import BY_EPISODE
 from xmarl_bench.board.details import Details
-from xmarl_bench.board.regulariser import SIDES, families_of, regulariser_of
+from xmarl_bench.board.regulariser import SIDES, families_of, regulariser_of, score_of, values_of
 from xmarl_bench.board.views import Scope, ranking_of, scopes_of
 
 MISSED = 0.9  # AUROC under which planted truth counts as missed: 0.5 is chance, 1 all of it
@@ -45,17 +46,17 @@ def explainers_of(board: Json, details: Mapping[str, Details], cards: Json) -> d
     return dict(sorted(found.items()))
 
 
-def term_page(board: Json, scope: Scope, details: Mapping[str, Details]) -> list[Json]:
-    """Families with, for each explainer and metric, the densities of episodes without and with the term."""
+def term_page(board: Json, scope: Scope, details: Mapping[str, Details]) -> Json:
+    """What the term does to each explainer, and the densities of episodes by family, explainer and metric."""
     pages = []
     families = families_of(_tables(board, scope))
-    order = list(regulariser_of(families))
+    term = regulariser_of(families)
     for family in families:
-        names = [name for name in order if name in family["without"] and name in family["with"]]
+        names = [name for name in term if values_of([family], partial(score_of, explainer=name))]
         columns = []
         for metric in BY_EPISODE:
             samples = {
-                (name, side): _episodes(family, family[side][name], metric, details)
+                (name, side): _episodes(family, name, side, metric, details)
                 for name in names
                 for side in SIDES
             }
@@ -65,7 +66,7 @@ def term_page(board: Json, scope: Scope, details: Mapping[str, Details]) -> list
             }
             columns.append({"metric": metric, "axis": axis, "cells": cells})
         pages.append({**family, "names": names, "columns": columns})
-    return pages
+    return {"term": term, "families": pages}
 
 
 def _half(values: list[float], axis: Any, side: int) -> Json | None:
@@ -75,12 +76,20 @@ def _half(values: list[float], axis: Any, side: int) -> Json | None:
             "mean": float(np.mean(values))}  # fmt: skip
 
 
-def _episodes(family: Json, rows: list[Json], metric: str, details: Mapping[str, Details]) -> list[float]:
+def _episodes(family: Json, name: str, side: str, metric: str, details: Mapping[str, Details]) -> list[float]:
+    """Of an explainer on the policies of a side, in all pairs that have scores of it on both."""
     values = []
-    for row in rows:
-        for (task, n_agents, _), each in details[row["file"]].items():
-            if (task, n_agents) == (family["task"], family["n_agents"]):
-                values += [x for x in each["episodes"].get(metric, ()) if x is not None]
+    for pair in family["pairs"]:
+        rows = {
+            each: [row for policy in pair[each] for row in policy["rows"] if row["explainer"] == name]
+            for each in SIDES
+        }
+        if not all(rows.values()):
+            continue
+        for row in rows[side]:
+            for (task, n_agents, _), each in details[row["file"]].items():
+                if (task, n_agents) == (family["task"], family["n_agents"]):
+                    values += [x for x in each["episodes"].get(metric, ()) if x is not None]
     return values
 
 

@@ -90,7 +90,7 @@ def page_files(
     for name, explainer in explainers.items():
         render(explainer_path(name), "explainer.html.jinja", name=name, explainer=explainer)
     if board["tables"]:
-        render(TERM, "regulariser.html.jinja", families=term_page(board, scopes[0][0], details))
+        render(TERM, "regulariser.html.jinja", **term_page(board, scopes[0][0], details))
     for view in scopes:
         for each in reversed(view):  # the page of all tasks last
             shown = context_of(board, each, view, details, cards)

@@ -1,11 +1,13 @@
-"""Policies trained with and without the attention-entropy term, side by side.
+"""Policies trained with and without the attention-entropy term, in pairs.
 
-A family is the policies of one cell and architecture, scored in the team size that they were trained for.
+A pair is training runs of one task, team size, architecture and training seed, some without and some with the
+term, scored in the team size that they were trained for. Policies that do not pass the gate have no pair.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,51 +23,74 @@ SIDES = ("without", "with")  # the term
 
 
 def families_of(tables: Sequence[Json]) -> list[Json]:
-    """Families that have both sides: {title, task, n_agents, without, with}, each side {explainer: rows}."""
+    """Policies of a cell and architecture that have pairs: {task, n_agents, kind, pairs}.
+
+    A pair is {"without": policies, "with": policies}. Pairs are in the order of their training seeds.
+    """
     families: dict[tuple[str, int, bytes], Json] = {}
     for table in tables:
         for policy in table["policies"]:
-            if policy["trained_n_agents"] != table["n_agents"]:
+            seed = policy["training_seed"]
+            if policy["gate"] or seed is None or policy["trained_n_agents"] != table["n_agents"]:
                 continue
             architecture = policy["architecture"]
             key = (table["task"], table["n_agents"], canonical_json(architecture))
             family = families.setdefault(
                 key,
                 {"task": table["task"], "n_agents": table["n_agents"], "kind": kind_of(architecture),
-                 **{side: {} for side in SIDES}, "policies": {side: [] for side in SIDES}},
+                 "pairs": {}},
             )  # fmt: skip
-            side = SIDES[policy["attention_entropy"] > 0.0]
-            family["policies"][side].append(policy)
-            for row in policy["rows"]:
-                if not row["control"]:
-                    family[side].setdefault(row["explainer"], []).append(row)
-    return [family for family in families.values() if all(family["policies"].values())]
+            pair = family["pairs"].setdefault(seed, {side: [] for side in SIDES})
+            pair[SIDES[policy["attention_entropy"] > 0.0]].append(policy)
+    for family in families.values():
+        family["pairs"] = [pair for _, pair in sorted(family["pairs"].items()) if all(pair.values())]
+    return [family for family in families.values() if family["pairs"]]
 
 
-def regulariser_of(families: Sequence[Json], metric: str = ORDER["by"]) -> dict[str, Json]:
-    """Explainer -> {without, with, difference, interval, n} over families, largest difference first.
+def regulariser_of(families: Sequence[Json]) -> dict[str, Json]:
+    """Explainer -> what the term does to its value in the board's order, largest difference first."""
+    policies = [p for family in families for pair in family["pairs"] for side in SIDES for p in pair[side]]
+    names = sorted({row["explainer"] for policy in policies for row in policy["rows"] if not row["control"]})
+    found = {name: compared(families, partial(score_of, explainer=name)) for name in names}
+    known = {name: each for name, each in found.items() if each is not None}
+    return dict(sorted(known.items(), key=lambda pair: (-pair[1]["difference"], pair[0])))
 
-    The unit is the family, whose policies are averaged; one family gives no interval.
+
+def compared(families: Sequence[Json], value: Callable[[Json], float | None]) -> Json | None:
+    """{without, with, difference, interval, n} of a policy's value over pairs, which are the units.
+
+    One pair gives no interval; None without a pair.
     """
-    pairs: dict[str, list[tuple[float, float]]] = {}
+    pairs = np.array([ends for _, *ends in values_of(families, value)])
+    if not pairs.size:
+        return None
+    difference = np.round(pairs[:, 1] - pairs[:, 0], DIGITS)
+    return {
+        "without": float(pairs[:, 0].mean()),
+        "with": float(pairs[:, 1].mean()),
+        "difference": float(difference.mean()),
+        "interval": None if len(pairs) < 2 else [float(x) for x in student_interval(difference)],
+        "n": len(pairs),
+    }
+
+
+def values_of(
+    families: Sequence[Json], value: Callable[[Json], float | None]
+) -> list[tuple[Json, float, float]]:
+    """Family, value without and value with the term, of each pair with both: means of its policies."""
+    found = []
     for family in families:
-        for name in sorted(set(family["without"]) & set(family["with"])):
-            one, other = (mean_of(family[side][name], metric) for side in SIDES)
+        for pair in family["pairs"]:
+            one, other = (_mean([value(policy) for policy in pair[side]]) for side in SIDES)
             if one is not None and other is not None:
-                pairs.setdefault(name, []).append((one, other))
-    found: dict[str, Json] = {}
-    for name, each in pairs.items():
-        values = np.array(each)
-        difference = np.round(values[:, 1] - values[:, 0], DIGITS)
-        interval = None if len(each) < 2 else [float(x) for x in student_interval(difference)]
-        found[name] = {
-            "without": float(values[:, 0].mean()),
-            "with": float(values[:, 1].mean()),
-            "difference": float(difference.mean()),
-            "interval": interval,
-            "n": len(each),
-        }
-    return dict(sorted(found.items(), key=lambda pair: (-pair[1]["difference"], pair[0])))
+                found.append((family, one, other))
+    return found
+
+
+def score_of(policy: Json, explainer: str, metric: str = ORDER["by"]) -> float | None:
+    """Mean over an explainer's rows of a policy; None without a value."""
+    rows = [row for row in policy["rows"] if row["explainer"] == explainer and not row["control"]]
+    return _mean([summary["value"] for row in rows if (summary := row["metrics"].get(metric)) is not None])
 
 
 def kind_of(architecture: Json) -> str:
@@ -75,9 +100,6 @@ def kind_of(architecture: Json) -> str:
     return "residual" if architecture.get("residual") else "paper"
 
 
-def mean_of(rows: Sequence[Json], metric: str) -> float | None:
-    """Mean over rows with a value; None without one."""
-    values = [
-        s["value"] for row in rows if (s := row["metrics"][metric]) is not None and s["value"] is not None
-    ]
-    return float(np.mean(values)) if values else None
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None

@@ -21,23 +21,24 @@ def overall_ranking(board: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Scores:
-    """The board's values: metric -> explainer or control -> policy."""
+    """The board's values, of the policies that the ranking over all tasks compares."""
 
-    policies: list[dict[str, Any]]  # those that the ranking over all tasks compares
-    explainers: list[str]  # ranked, best first
-    tied: list[str]  # without a significant difference to the best
-    values: dict[str, dict[str, dict[str, float]]]
+    ranking: dict[str, Any]  # over all tasks
+    tables: list[dict[str, Any]]  # measured as the ranking's are
+    policies: list[dict[str, Any]]
+    values: dict[str, dict[str, dict[str, float]]]  # metric -> explainer or control -> policy
 
     @classmethod
     def of(cls, board: dict[str, Any]) -> Scores:
         ranking = overall_ranking(board)
-        ranked = [row for row in ranking["rows"] if row["rank"] is not None]
+        alike = ("protocol", "oracle")
+        tables = [each for each in board["tables"] if all(each[key] == ranking[key] for key in alike)]
         compared = {(each["name"], each["n_agents"]) for each in ranking["policies"]}
         policies: list[dict[str, Any]] = []
         values: dict[str, dict[str, dict[str, float]]] = {}
-        for table in board["tables"]:
+        for table in tables:
             for policy in table["policies"]:
-                if (policy["name"], table["n_agents"]) not in compared or table["oracle"] != "enumerated":
+                if (policy["name"], table["n_agents"]) not in compared:
                     continue
                 policies.append({**policy, "task": table["task"], "n_agents": table["n_agents"]})
                 for row in policy["rows"]:
@@ -45,12 +46,18 @@ class Scores:
                         if summary is not None and summary["value"] is not None:
                             of_metric = values.setdefault(metric, {})
                             of_metric.setdefault(row["explainer"], {})[policy["name"]] = summary["value"]
-        return cls(
-            policies,
-            [row["explainer"] for row in ranked],
-            [row["explainer"] for row in ranked if row["tie_group"] == 1],
-            values,
-        )
+        return cls(ranking, tables, policies, values)
+
+    @property
+    def explainers(self) -> list[str]:
+        """Ranked, best first."""
+        return [row["explainer"] for row in self.ranking["rows"] if row["rank"] is not None]
+
+    @property
+    def tied(self) -> list[str]:
+        """Explainers without a significant difference to the best."""
+        rows = self.ranking["rows"]
+        return [row["explainer"] for row in rows if row["rank"] is not None and row["tie_group"] == 1]
 
     def of_policies(self, metric: str, name: str) -> list[float]:
         """One value for each policy; NaN if it was not measured."""

@@ -89,13 +89,13 @@ def test_a_control_games_fid_delta() -> None:
     ("with_term", "said"),
     [
         ((0.9, 0.7), "raises the message fidelity of `a`: 0.400 without and 0.800 with it, a difference of "
-         "0.400 (0.400 to 0.400), over 2 families"),
+         "0.400 (0.400 to 0.400), over 2 pairs of training runs."),
         ((0.5, 0.2), "is not shown to change the message fidelity of `a`: 0.400 without and 0.350 with it"),
         ((0.3, 0.1), "lowers the message fidelity of `a`"),
     ],
 )  # fmt: skip
 def test_what_the_regulariser_does(with_term: tuple[float, float], said: str) -> None:
-    """Families of 3 and 4 agents, 0.5 and 0.3 without the term; a policy of 5 agents has no partner."""
+    """Pairs of 3 and 4 agents, 0.5 and 0.3 without the term; a policy of 5 agents has no partner."""
     listed = [("w", n, level, 0.1) for n, level in zip((3, 4), with_term, strict=True)]
     listed += [("o", 3, 0.5, 0.0), ("o", 4, 0.3, 0.0), ("alone", 5, 0.1, 0.0)]
     board = board_of(
@@ -111,7 +111,7 @@ def test_what_the_regulariser_does(with_term: tuple[float, float], said: str) ->
 
 
 def test_without_a_pair_nothing_is_said_of_the_regulariser() -> None:
-    assert answer_on_term("a", None).startswith("No pair of policies")
+    assert answer_on_term("a", None).startswith("No pair of ranked policies")
 
 
 def test_numbers_are_rounded_once() -> None:

@@ -188,7 +188,7 @@ def test_five_questions_take_one_click(board: Path, browse: Browse) -> None:
         (
             "does the regulariser help it?",
             ("link", "good"),
-            r"Attention-entropy regularisation|No pair of policies",
+            r"Attention-entropy regularisation|No pair of ranked policies",
         ),
         ("does the regulariser help?", ("link", "regulariser"), r"Is the policy then easier to explain\?"),
         ("how do I submit?", ("link", "submit"), r"xmarl-bench submit mine/entries"),

@@ -23,7 +23,7 @@ from xmarl_bench.explain.absence import message_table, reference_states
 from xmarl_bench.explain.oracle import change_table, why_not_enumerated
 from xmarl_bench.metrics import others_table
 from xmarl_bench.metrics.absence import Absence
-from xmarl_bench.origin.installed import package_version
+from xmarl_bench.origin.installed import harness_version
 from xmarl_bench.planted.families import planted
 from xmarl_bench.policy import GraphPolicy, Policy, existing_edges
 from xmarl_bench.policy.architecture import CodeArchitecture
@@ -81,7 +81,7 @@ def played_dataset(
         episodes=episodes,
         seed=seed,
         weights_sha256=card.weights_sha256,
-        harness_version=package_version("xmarl-bench") or "unknown",
+        harness_version=harness_version(),
     )
     code = isinstance(card.architecture, CodeArchitecture)
     fields = card.model_dump(exclude={"architecture", "weights_sha256"})
@@ -107,7 +107,7 @@ def planted_dataset(family: str, n_agents: int, *, n_steps: int = 100, seed: int
         n_agents=n_agents,
         episodes=n_steps,
         seed=seed,
-        harness_version=package_version("xmarl-bench") or "unknown",
+        harness_version=harness_version(),
     )
     bundle = packed(truth.policy, name=about.name, task=about.task, n_agents=n_agents, attention_entropy=0.0)
     return Dataset(about, arrays, bundle)

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from xmarl_bench.entry.schema import Provenance
-from xmarl_bench.origin.installed import package_version
+from xmarl_bench.origin.installed import harness_version, package_version
 
 PACKAGES = ("loky", "numpy", "pettingzoo", "pydantic", "pymunk", "safetensors", "torch", "torch-geometric")
 # What a sweep and `board build` write: an interrupted sweep goes on with unchanged sources.
@@ -28,7 +28,7 @@ def provenance(started: str, jobs: int, device: str | None = None) -> Provenance
 
     commit, dirty = commit_of_harness()
     return Provenance(
-        harness_version=package_version("xmarl-bench") or "unknown",
+        harness_version=harness_version(),
         commit=commit,
         dirty=dirty,
         packages={name: package_version(name) or "missing" for name in PACKAGES},

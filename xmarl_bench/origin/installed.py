@@ -20,6 +20,11 @@ def package_version(name: str) -> str | None:
         return None
 
 
+def harness_version() -> str:
+    """The version of this package; "unknown" if it runs without being installed."""
+    return package_version("xmarl-bench") or "unknown"
+
+
 def distribution_of(module: str) -> str | None:
     """The distribution that a module belongs to, by its top-level name; None if it is not installed."""
     return next(iter(_distributions().get(module.split(".")[0], [])), None)

@@ -12,7 +12,7 @@ from pathlib import Path
 from xmarl_bench.entry.file import entry_text
 from xmarl_bench.entry.schema import Entry, Verification, entry_id
 from xmarl_bench.errors import InputError
-from xmarl_bench.origin.installed import package_version
+from xmarl_bench.origin.installed import harness_version
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS, read_member
 from xmarl_bench.records.files import pretty_json, write_atomically
 from xmarl_bench.submission.archive import MANIFEST
@@ -67,7 +67,7 @@ def bundle_files(
     manifest = Manifest(
         submitter=submitter,
         contact=contact,
-        harness_version=package_version("xmarl-bench") or "unknown",
+        harness_version=harness_version(),
         files=file_records(files),
     )
     return {MANIFEST: pretty_json(manifest.model_dump(mode="json")), **files}

@@ -24,7 +24,7 @@ from xmarl_bench.isolation.explainers import Isolation, end_strangers
 from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.isolation.walls import SIGNED, Wall, strongest
 from xmarl_bench.metrics.table import by_name
-from xmarl_bench.origin.installed import package_version
+from xmarl_bench.origin.installed import harness_version
 from xmarl_bench.plugins.names import find_policy, is_shipped
 from xmarl_bench.plugins.registry import ask_explainer, find_explainer
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
@@ -140,7 +140,7 @@ class Verdict:
                 "status": STATUS[self.tier],
                 "by": by,
                 "when": now(),
-                "harness_version": package_version("xmarl-bench") or "unknown",
+                "harness_version": harness_version(),
                 "commit": commit,
                 "dirty": dirty,
                 "packages": here.packages,

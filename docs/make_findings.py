@@ -61,7 +61,7 @@ def of(scores: Scores, a: str, b: str) -> str:
 
 
 def task_metric(policy: dict[str, Any], metric: str) -> float | None:
-    summary = policy["metrics"][metric]
+    summary = policy["metrics"].get(metric)
     return None if summary is None else summary["value"]
 
 

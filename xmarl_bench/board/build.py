@@ -136,7 +136,7 @@ def board_csv(board: Mapping[str, Any]) -> bytes:
                      row["variants_tried"], row["verification"], *_fresh(row["fresh"]), row["entry_id"],
                      *(row[name] for name in ("date", "paper", "code", "verified_by", "wall", "partial")),
                      _names(row["same_masks_as"])]
-                    + [number for metric in COLUMNS for number in _numbers(row["metrics"][metric])]
+                    + [number for metric in COLUMNS for number in _numbers(row["metrics"].get(metric))]
                 )  # fmt: skip
                 writer.writerow([csv_cell(each) for each in cells])
     return text.getvalue().encode()

@@ -17,7 +17,8 @@ def board_rows(
     """scripts: (table, policy, weights) -> key and path of the policy's script."""
     policies: list[Json] = []
     rows: list[list[Any]] = []
-    reasons: list[Json] = [{}]  # values of `not_measured`, which most rows share
+    reasons = {None: {}, **board["not_measured"]}
+    place = {key: k for k, key in enumerate(reasons)}
     for t, table in enumerate(board["tables"]):
         for policy in table["policies"]:
             key, script = scripts[t, policy["name"], policy["weights_sha256"]]
@@ -31,19 +32,16 @@ def board_rows(
                     "trained_n_agents": policy["trained_n_agents"],
                     "oracle_error": policy["oracle_error"],
                     "gate": policy["gate"],
-                    "metrics": {name: _value(name, policy["metrics"][name]) for name in POLICY_METRICS},
+                    "metrics": {name: _value(name, policy["metrics"].get(name)) for name in POLICY_METRICS},
                 }
             )
             for row in policy["rows"]:
-                why = row["not_measured"]
-                if why not in reasons:
-                    reasons.append(why)
                 identity = None if row["entry_id"] is None else row["entry_id"][:16]
                 rows.append(
                     [len(policies) - 1, row["explainer"], int(row["control"]), row["rank"],
                      row["rank_interval"], row["tie_group"], row["submitter"], row["verification"], identity,
-                     int(f"{identity}.avif" in animations), reasons.index(why), row["file"],
-                     [numbers(name, row["metrics"][name]) for name in COLUMNS], row["variants_tried"],
+                     int(f"{identity}.avif" in animations), place[row["not_measured"]], row["file"],
+                     [numbers(name, row["metrics"].get(name)) for name in COLUMNS], row["variants_tried"],
                      _fresh(row["fresh"]), row["cost"] and float(f"{1000 * row['cost']:.3g}")]
                 )  # fmt: skip
     return {
@@ -61,7 +59,7 @@ def board_rows(
         ],
         "policies": policies,
         "rows": rows,
-        "reasons": reasons,
+        "reasons": list(reasons.values()),
     }
 
 

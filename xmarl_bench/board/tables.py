@@ -12,12 +12,12 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from xmarl_bench.board.columns import ORDER, PAPER, POLICY_METRICS
+from xmarl_bench.board.columns import COLUMNS, ORDER, PAPER, POLICY_METRICS
 from xmarl_bench.board.gate import gate_reason
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
@@ -26,17 +26,16 @@ from xmarl_bench.entry.partial import partial_reason
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
 from xmarl_bench.explain.control_names import INVERTED, NEAREST, RANDOM
-from xmarl_bench.metrics.performance_profile import performance_profile
 from xmarl_bench.metrics.statistics import (
     interquartile_mean,
     over_units,
-    probability_of_improvement,
     student_interval,
 )
-from xmarl_bench.metrics.table import OF_EXPLAINERS, by_name, names_of
+from xmarl_bench.metrics.table import by_name
+from xmarl_bench.records.field_types import rounded
 from xmarl_bench.records.files import canonical_json
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 MOST = by_name()[ORDER["by"]].range.high or math.inf
 BEATEN = (RANDOM, NEAREST)  # controls that an explainer has to beat
 TIERS = ("", "unverified", "recomputed", "spot-rerun", "re-executed")  # of verification, worst first
@@ -65,11 +64,12 @@ class Group:
 def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
     """(file, entry) pairs -> the board as JSON. Their order does not matter, and no entry stays in memory."""
     protocols: dict[str, Json] = {}
+    reasons: dict[str, dict[str, str]] = {}
     scopes: dict[bytes, Json] = {}
     grouped: dict[bytes, dict[tuple[str, str], Group]] = {}
     for file, entry in entries:
         protocol = entry.protocol.model_dump(mode="json")
-        key = hashlib.sha256(canonical_json(protocol)).hexdigest()[:8]
+        key = _key(protocol)
         protocols[key] = protocol
         for k, cell in enumerate(entry.results):
             scope = {
@@ -87,13 +87,14 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
             if file < group.file:
                 group.file, group.policy = file, _policy(entry, cell)
             group.rows.append(_row(file, entry, k))
+            reasons[_key(cell.not_measured)] = cell.not_measured
             group.episodes[file] = np.array(
                 [getattr(row, ORDER["by"]) for row in cell.episodes], dtype=np.float64
             )
             for name, metrics in cell.controls.items():
                 known = group.controls.get(name)
                 if name != INVERTED and (known is None or file < known["file"]):  # the explainer's own
-                    group.controls[name] = _control_row(file, name, metrics)
+                    group.controls[name] = _control_row(file, name, metrics, entry.protocol.episodes)
     listed = sorted(
         ((scopes[key], [group for _, group in sorted(groups.items())]) for key, groups in grouped.items()),
         key=lambda pair: _table_order(pair[0], protocols[pair[0]["protocol"]]),
@@ -106,7 +107,8 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
         "protocol": PROTOCOL,
         "order": ORDER,
         "protocols": protocols,
-        "rankings": _rankings(listed),
+        "not_measured": reasons,
+        "rankings": rounded(_rankings(listed)),
         "tables": [
             {**scope, "policies": [{**group.policy, "rows": group.rows} for group in table]}
             for scope, table in listed
@@ -116,7 +118,7 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
 
 def value_of(row: Json) -> float | None:
     """The value that rows are ordered by; None if the row has none."""
-    summary = row["metrics"][ORDER["by"]]
+    summary = row["metrics"].get(ORDER["by"])
     return None if summary is None else summary["value"]
 
 
@@ -130,7 +132,7 @@ def _policy(entry: Entry, cell: CellResult) -> Json:
         "training_seed": entry.policy.training_seed,
         "trained_n_agents": entry.policy.n_agents,
         "oracle_error": None if cell.oracle is None else cell.oracle.error,
-        "metrics": cell.metrics.model_dump(mode="json", include=set(POLICY_METRICS)),
+        "metrics": _shown(cell.metrics, POLICY_METRICS, entry.protocol.episodes),
         "gate": gate_reason(cell.metrics),
     }
 
@@ -157,14 +159,14 @@ def _row(file: str, entry: Entry, k: int) -> Json:
         "same_masks_as": [],
         "fresh": _fresh(entry, k),
         "cost": entry.cost.explain_seconds_per_timestep,
-        "metrics": _shown(cell.metrics),
-        "not_measured": cell.not_measured,
+        "metrics": _shown(cell.metrics, COLUMNS, entry.protocol.episodes),
+        "not_measured": _key(cell.not_measured),
         "file": file,
         "entry_id": entry.entry_id,
     }
 
 
-def _control_row(file: str, name: str, metrics: ControlMetrics) -> Json:
+def _control_row(file: str, name: str, metrics: ControlMetrics, episodes: int) -> Json:
     """A row for a control in an entry; all entries of a policy contain the same controls."""
     return {
         **_UNRANKED,
@@ -179,8 +181,8 @@ def _control_row(file: str, name: str, metrics: ControlMetrics) -> Json:
         "same_masks_as": [],
         "fresh": None,
         "cost": None,
-        "metrics": _shown(metrics),
-        "not_measured": {},
+        "metrics": _shown(metrics, COLUMNS, episodes),
+        "not_measured": None,
         "file": file,
         "entry_id": None,
     }
@@ -205,9 +207,24 @@ def _fresh(entry: Entry, k: int) -> Json | None:
 _UNRANKED: Json = {"rank": None, "rank_interval": None, "tie_group": None}
 
 
-def _shown(metrics: Metrics | ControlMetrics) -> Json:
-    dumped = metrics.model_dump(mode="json")
-    return {name: dumped.get(name) for name in names_of(*OF_EXPLAINERS)}
+def _shown(metrics: Metrics | ControlMetrics, names: Iterable[str], episodes: int) -> Json:
+    """Metric -> value and interval; also the numbers of values and of NaN, unless every episode has a value.
+
+    Leaves out metrics that were not measured.
+    """
+    shown = {}
+    for name in names:
+        summary = getattr(metrics, name, None)
+        if summary is not None:
+            shown[name] = {"value": summary.value, "interval": summary.interval}
+            if (summary.n, summary.n_nan) != (episodes, 0):
+                shown[name] |= {"n": summary.n, "n_nan": summary.n_nan}
+    return shown
+
+
+def _key(value: Json) -> str:
+    """Names a part of the board that many rows share."""
+    return hashlib.sha256(canonical_json(value)).hexdigest()[:8]
 
 
 def _finish(group: Group) -> None:
@@ -294,7 +311,6 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
             for k in chosen
         ],
         "lead": _lead(found, names, blocks),
-        "improvement": _improvement([pairs[k][0] for k in chosen], rows),
         "rows": sorted(
             ranked + unranked + ranked_controls, key=lambda row: (-row["value"], row["explainer"])
         ),
@@ -333,23 +349,6 @@ def _lead(found: Sequence[Place], names: Sequence[str], blocks: Sequence[Floats]
     return {"over": names[beaten[0]], "difference": lead.value, "interval": lead.interval}
 
 
-def _improvement(scopes: Sequence[Json], rows: dict[str, list[Json]]) -> Json:
-    """For any two explainers, the probability that a run of one beats a run of the other in the same cell."""
-    runs: dict[str, dict[str, list[float]]] = {name: {} for name in rows}
-    for name, each in rows.items():
-        for scope, value in zip(scopes, _values(each), strict=True):
-            cell = f"{scope['task']}, {scope['n_agents']}"
-            runs[name].setdefault(cell, []).append(round(value, DIGITS))
-    return {
-        one: {
-            other: round(probability_of_improvement(runs[one], runs[other]), DIGITS)
-            for other in runs
-            if other != one
-        }
-        for one in runs
-    }
-
-
 def _ranking_row(name: str, rows: Sequence[Json], control: bool, place: Place | None = None) -> Json:
     values = np.round(_values(rows), DIGITS)
     return {
@@ -360,7 +359,7 @@ def _ranking_row(name: str, rows: Sequence[Json], control: bool, place: Place | 
         "tie_group": None if place is None else place.tie_group,
         "value": round(float(np.mean(_values(rows))), DIGITS),
         "iqm": round(interquartile_mean(values), DIGITS),
-        "profile": asdict(performance_profile(values)),
+        "values": values.tolist(),
         "interval": None if place is None else place.interval,
         "n_policies": len(rows),
         "cost": None if None in (costs := [row["cost"] for row in rows]) else float(np.mean(costs)),
@@ -376,7 +375,7 @@ def _values(rows: Sequence[Json]) -> list[float]:
 
 def _mean(rows: Sequence[Json], metric: str) -> float | None:
     """Mean over rows; None if one has no number."""
-    summaries = [row["metrics"][metric] for row in rows]
+    summaries = [row["metrics"].get(metric) for row in rows]
     values = [s["value"] for s in summaries if s is not None and s["value"] is not None]
     return float(np.mean(values)) if len(values) == len(rows) else None
 

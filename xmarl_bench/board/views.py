@@ -19,6 +19,7 @@ from xmarl_bench.board.columns import COMPARED, GAMED, ORDER, title_of
 from xmarl_bench.board.details import Details
 from xmarl_bench.board.regulariser import families_of, regulariser_of
 from xmarl_bench.explain.control_names import MESSAGES_ONLY, NEAREST, RANDOM
+from xmarl_bench.metrics.performance_profile import performance_profile
 
 TEAM_SHOWN_FIRST = 5
 Json = dict[str, Any]
@@ -163,15 +164,17 @@ def scatter_of(rows: Sequence[Json]) -> Json:
 
 def profile_of(ranked: Sequence[Json]) -> Json:
     """Performance profiles: for every score, the share of policies above it."""
-    taus = [tau for row in ranked for tau in row["profile"]["taus"]]
-    x, y = axis_of(taus, around=(0.0, 1.0)), axis_of([], around=(0.0, 1.0))
+    x, y = (
+        axis_of([value for row in ranked for value in row["values"]], around=(0.0, 1.0)),
+        axis_of([], around=(0.0, 1.0)),
+    )
     lines = []
     for k, row in enumerate(ranked):
-        profile = row["profile"]
-        ends = list(zip((x.low, *profile["taus"]), profile["shares"], strict=True))
+        profile = performance_profile(row["values"])
+        ends = list(zip((x.low, *profile.taus), profile.shares, strict=True))
         corners = steps([*ends, (x.high, ends[-1][1])])
-        band = [list(zip((x.low, *profile["taus"], x.high), (*each, each[-1]), strict=True))
-                for each in zip(*profile["band"], strict=True)]  # fmt: skip
+        band = [list(zip((x.low, *profile.taus, x.high), (*each, each[-1]), strict=True))
+                for each in zip(*profile.band, strict=True)]  # fmt: skip
         polygon = [*steps(band[0]), *reversed(steps(band[1]))]
         lines.append(_line(k, row["explainer"], line(corners, x, y), line(polygon, x, y), on=k == 0))
     return {"x": x, "y": y, "lines": lines, "x_title": title_of(ORDER["by"]),

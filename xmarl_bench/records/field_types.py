@@ -20,11 +20,13 @@ def is_file_name(name: str) -> bool:
 
 
 def rounded(value: Any) -> Any:
-    """Every float in tuples and dicts, with DIGITS significant digits; all else as it is."""
+    """Every float in tuples, lists and dicts, with DIGITS significant digits; all else as it is."""
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}")
     if isinstance(value, tuple):
         return tuple(rounded(each) for each in value)
+    if isinstance(value, list):
+        return [rounded(each) for each in value]
     if isinstance(value, dict):
         return {key: rounded(each) for key, each in value.items()}
     return value

@@ -193,14 +193,30 @@ def test_a_ranking_is_computed_over_training_runs() -> None:
     ranking = next(each for each in made["rankings"] if each["task"] is None)
     a, b = (next(row for row in ranking["rows"] if row["explainer"] == name) for name in "ab")
     assert a["iqm"] == pytest.approx((0.8 + 0.7) / 2)
-    assert a["profile"]["taus"] == (0.3, 0.7, 0.8, 0.9)
-    assert a["profile"]["shares"] == (1.0, 0.75, 0.5, 0.25, 0.0)
-    assert b["profile"]["shares"] == (1.0, 0.0)
-    # Six of nine pairs in the first cell are better, and the only pair in the other.
-    assert ranking["improvement"] == {
-        "a": {"b": pytest.approx((6 / 9 + 1) / 2, abs=1e-6)},
-        "b": {"a": pytest.approx((3 / 9 + 0) / 2, abs=1e-6)},
+    assert (a["values"], b["values"]) == ([0.9, 0.8, 0.3, 0.7], [0.5, 0.5, 0.5, 0.5])
+
+
+def test_what_rows_share_is_stated_once() -> None:
+    """Numbers of episodes, if they differ from the protocol's, and reasons; nothing if not measured."""
+    entries = [made_entry("p", name, 0.5, gef=None) for name in "ab"]
+    (cell,) = entries[0].results
+    few = cell.metrics.fid_plus.model_copy(update={"n": 48, "n_nan": 2})  # type: ignore[union-attr]
+    metrics = cell.metrics.model_copy(update={"fid_plus": few})
+    entries[0] = entries[0].model_copy(update={"results": (cell.model_copy(update={"metrics": metrics}),)})
+    made = board(entries)
+    (policy,) = made["tables"][0]["policies"]
+    rows = {row["explainer"]: row for row in policy["rows"]}
+    assert {name: set(rows[name]["metrics"]["fid_plus"]) for name in "ab"} == {
+        "a": {"value", "interval", "n", "n_nan"},
+        "b": {"value", "interval"},
     }
+    assert (rows["a"]["metrics"]["fid_plus"]["n"], rows["a"]["metrics"]["fid_plus"]["n_nan"]) == (48, 2)
+    assert "gef" not in rows["a"]["metrics"]
+    assert {made["not_measured"][rows[name]["not_measured"]]["no_object_collision"] for name in "ab"} == {
+        "the task has no walls"
+    }
+    assert len(made["not_measured"]) == 1
+    assert rows["random"]["not_measured"] is None
 
 
 def test_a_sampled_oracle_is_a_table_and_a_ranking_of_its_own() -> None:

@@ -200,7 +200,7 @@ def test_what_rows_share_is_stated_once() -> None:
     """Numbers of episodes, if they differ from the protocol's, and reasons; nothing if not measured."""
     entries = [made_entry("p", name, 0.5, gef=None) for name in "ab"]
     (cell,) = entries[0].results
-    few = cell.metrics.fid_plus.model_copy(update={"n": 48, "n_nan": 2})  # type: ignore[union-attr]
+    few = cell.metrics.fid_plus.model_copy(update={"n": 48, "n_nan": 2})
     metrics = cell.metrics.model_copy(update={"fid_plus": few})
     entries[0] = entries[0].model_copy(update={"results": (cell.model_copy(update={"metrics": metrics}),)})
     made = board(entries)

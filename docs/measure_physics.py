@@ -6,10 +6,12 @@ python docs/measure_physics.py
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import torch
 from xmarl_envs import make_task, separate_spaces, world
+from xmarl_envs.task import Bools
 
 from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
@@ -22,7 +24,6 @@ POLICIES = (
     "discovery-n3-residual-lambda0-seed0", "discovery-n5-residual-lambda0.03-seed0",
 )  # fmt: skip
 EPISODES, ROUNDS = 50, 3
-SPACES_ONLY = 10**9
 
 
 class Timed(separate_spaces.SeparateSpaces):
@@ -30,24 +31,25 @@ class Timed(separate_spaces.SeparateSpaces):
 
     seconds = 0.0
 
-    def step(self, *arguments: object) -> None:
+    def step(self, *arguments: Any) -> Bools:
         started = time.process_time()
-        super().step(*arguments)  # type: ignore[arg-type]
+        close = super().step(*arguments)
         Timed.seconds += time.process_time() - started
+        return close
 
 
-def physics_seconds(policy: Policy, card: PolicyCard, fewest_flying: int) -> tuple[float, float]:
+def physics_seconds(policy: Policy, card: PolicyCard, largest_flying: int) -> tuple[float, float]:
     """CPU seconds of the physics and of the whole rollout of EPISODES episodes."""
-    separate_spaces.FEWEST_FLYING = fewest_flying
+    separate_spaces.LARGEST_FLYING_TEAM = largest_flying
     Timed.seconds, started = 0.0, time.process_time()
     task = make_task(card.task, card.n_agents)
     roll_out(task, policy, episode_seeds(0, EPISODES), parallel_episodes=EPISODES)
     return Timed.seconds, time.process_time() - started
 
 
-def free_flight(n_episodes: int, fewest_flying: int) -> float:
+def free_flight(n_episodes: int, largest_flying: int) -> float:
     """CPU microseconds of a step of so many teams of three that never touch."""
-    separate_spaces.FEWEST_FLYING = fewest_flying
+    separate_spaces.LARGEST_FLYING_TEAM = largest_flying
     task = make_task("blind_navigation_v0", 3)
     spaces = separate_spaces.SeparateSpaces(task, n_episodes)
     position = np.tile(np.array([[-3.0, 0.0], [0.0, 0.0], [3.0, 0.0]]), (n_episodes, 1, 1))
@@ -62,11 +64,9 @@ def free_flight(n_episodes: int, fewest_flying: int) -> float:
 
 def main() -> None:
     torch.set_num_threads(1)
-    flying = separate_spaces.FEWEST_FLYING
-    for n_episodes in (4, 16, 50, 200):
-        pairs = [
-            (free_flight(n_episodes, SPACES_ONLY), free_flight(n_episodes, flying)) for _ in range(ROUNDS)
-        ]
+    flying = separate_spaces.LARGEST_FLYING_TEAM
+    for n_episodes in (1, 4, 16, 50, 200):
+        pairs = [(free_flight(n_episodes, 0), free_flight(n_episodes, flying)) for _ in range(ROUNDS)]
         spaces, flown = np.min(pairs, axis=0)
         print(
             f"| free flight, {n_episodes} teams | {spaces:.0f} us | {flown:.0f} us | {spaces / flown:.1f} |"
@@ -75,8 +75,7 @@ def main() -> None:
     for name in POLICIES:
         policy, card = load_policy(find_policies()[name])
         rounds = [
-            (*physics_seconds(policy, card, SPACES_ONLY), *physics_seconds(policy, card, flying))
-            for _ in range(ROUNDS)
+            (*physics_seconds(policy, card, 0), *physics_seconds(policy, card, flying)) for _ in range(ROUNDS)
         ]
         spaces, whole, flown, _ = np.min(rounds, axis=0)
         print(

@@ -33,22 +33,31 @@ def fly(position: Floats, velocity: Floats, force: Floats) -> tuple[Floats, Floa
 
 def touching(
     task: Task, path: Floats, walls: Floats, pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
-) -> Bools:
-    """(B,): whether some disc may touch another, the border or a wall along its `path` (MOVES, B, N, 2).
+) -> tuple[Bools, Bools]:
+    """What discs meet along their `path` (MOVES, B, N, 2).
 
-    walls: (B, W, 2); pairs: first and second agent of each pair, two arrays (pairs,). False is certain; True
-    may also mean that a disc only gets near a wall.
+    walls: (B, W, 2); pairs: first and second agent of each pair, two arrays (pairs,).
+
+    Returns:
+        touches: (B,) a disc may touch another, the border or a wall. False is certain; True may also mean
+            that one only gets near a wall.
+        close: (B,). False: no two agents are within `task.collision_gap` at the end.
     """
     apart = path.take(pairs[0], axis=2)
     apart -= path.take(pairs[1], axis=2)
     apart *= apart
-    overlap = apart[..., 0] + apart[..., 1] < (2 * task.radius + MARGIN) ** 2  # (MOVES, B, pairs)
-    result = overlap.any(axis=0).any(axis=-1)
+    squared = apart[..., 0] + apart[..., 1]  # (MOVES, B, pairs)
+    touches = (squared < (2 * task.radius + MARGIN) ** 2).any(axis=0).any(axis=-1)
+    close = (squared[-1] < (2 * task.radius + max(task.collision_gap, 0.0) + MARGIN) ** 2).any(axis=-1)
     if task.bound is not None or task.n_walls:
-        low, high = path.min(axis=0), path.max(axis=0)
+        # The moves of a substep lie on a line.
+        turns = (path[0], path[CONTACT_CHECKS - 1], path[-1])
+        low, high = np.minimum.reduce(turns), np.maximum.reduce(turns)
         if task.bound is not None:
-            result |= ((low < MARGIN - task.bound) | (high > task.bound - MARGIN)).any(axis=(1, 2))
-        reach = np.array(task.wall_size) / 2 + task.radius + MARGIN
-        for wall in np.moveaxis(walls, 1, 0)[:, :, None]:  # (B, 1, 2)
-            result |= ((low < wall + reach) & (high > wall - reach)).all(axis=2).any(axis=1)
-    return np.asarray(result)
+            touches |= ((low < MARGIN - task.bound) | (high > task.bound - MARGIN)).any(axis=(1, 2))
+        if task.n_walls:
+            reach = np.array(task.wall_size) / 2 + task.radius + MARGIN
+            at_wall = low[:, :, None] < (walls + reach)[:, None]  # (B, N, W, 2)
+            at_wall &= high[:, :, None] > (walls - reach)[:, None]
+            touches |= at_wall.all(axis=-1).any(axis=(1, 2))
+    return np.asarray(touches), np.asarray(close)

@@ -1,9 +1,9 @@
 """One Space per episode: an episode repeats bit for bit, whatever the others do.
 
-An episode without a contact needs no Space: free flight is arithmetic on arrays, with the same bits. A Space
-catches up, step by step from where it stopped, when its episode comes near a contact. So its search tree and
-contacts are those of a Space that took every step, and steps after the last contact of an episode cost
-little.
+Few steps need one. An episode without a contact flies: arithmetic with the same bits. While no disc has two
+contacts at once, any Space that remembers no earlier ones gives the same bits, so the episode borrows one.
+Where a disc has several, the order in which Chipmunk solves them matters, and that follows from all earlier
+steps: the episode's own Space then takes these first, and the next ones until the team is apart.
 """
 
 from __future__ import annotations
@@ -15,102 +15,142 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xmarl_envs.free_flight import fly, touching
+from xmarl_envs.lone_flight import fly_alone
 from xmarl_envs.slotted_space import SlottedSpace
 from xmarl_envs.task import Bools, Floats, Task
 
-# Below so many episodes their Spaces are as fast as arithmetic on arrays. Of larger teams nearly every one
-# has a contact, and checking all its pairs costs more than its Space.
-FEWEST_FLYING, LARGEST_FLYING_TEAM = 4, 8
+FEWEST_TOGETHER = 5  # fewer teams fly one by one
+LARGEST_FLYING_TEAM = 8  # nearly every larger team has a contact
+PATIENCE = 8  # steps between two looks whether a team in its own Space is apart
 
 
 class SeparateSpaces:
     """The physics of `World` with one copy per Space.
 
-    Can be copied and pickled. A copy plays every episode again from its beginning, because a pickled Space
-    goes on with other contacts.
+    Can be copied and pickled. A copy plays an episode again from its beginning when it needs its own Space,
+    because a pickled Space goes on with other contacts.
     """
 
     def __init__(self, task: Task, n_episodes: int) -> None:
         self._task = task
-        self._spaces: list[SlottedSpace | None] = [None] * n_episodes
         self._agents: Floats = np.zeros((n_episodes, task.n_agents, 4))  # position and velocity at `place`
         self._walls: Floats = np.zeros((n_episodes, task.n_walls, 2))
         self._forces = [bytearray() for _ in range(n_episodes)]  # (steps, N, 2) float64 since `place`
-        self._caught_up = [0] * n_episodes  # bytes of these that the episode's Space has taken
-        self._stale = [True] * n_episodes  # the Space is of an earlier episode
-        self._placed: Bools = np.zeros(n_episodes, dtype=np.bool_)
-        self._touched: Bools = np.zeros(n_episodes, dtype=np.bool_)  # in the last step
+        self._flying: Bools = np.zeros(n_episodes, dtype=np.bool_)
+        self._lent: dict[int, SlottedSpace] = {}
+        self._idle: list[SlottedSpace] = []  # remember no contacts
+        self._in_own: set[int] = set()
+        self._own: dict[int, SlottedSpace] = {}
+        self._caught_up: dict[int, int] = {}  # bytes of `_forces` that the own Space has taken
         self._pairs = np.triu_indices(task.n_agents, k=1)
 
     def place(self, episodes: NDArray[np.intp], agents: Floats, velocity: Floats, walls: Floats) -> None:
-        """Begin episodes (E,) with agents (E, N, 2), their velocity (E, N, 2) and walls (E, W, 2).
-
-        Each gets a new Space, so that earlier episodes cannot influence it.
-        """
+        """Begin episodes (E,) with agents (E, N, 2), their velocity (E, N, 2) and walls (E, W, 2)."""
         self._agents[episodes, :, :2] = agents
         self._agents[episodes, :, 2:] = velocity
         self._walls[episodes] = walls
-        for episode in episodes.tolist():
-            self._forces[episode].clear()
-            self._caught_up[episode] = 0
-            self._stale[episode] = True
-        self._placed[episodes] = True
-        self._touched[episodes] = False
+        begun = episodes.tolist()
+        for k in begun:
+            self._forces[k].clear()
+            self._caught_up.pop(k, None)
+            if k in self._lent:
+                self._take_back(k)
+        flying = self._task.n_agents <= LARGEST_FLYING_TEAM and flight_has_the_bits_of_a_space()
+        self._flying[episodes] = flying
+        self._in_own.difference_update(begun) if flying else self._in_own.update(begun)
 
     def step(
         self, position: Floats, velocity: Floats, force: Floats, walls: Floats, live: Bools | None
-    ) -> None:
-        """Advance position and velocity (B, N, 2), in place, under force (B, N, 2)."""
-        going = self._placed if live is None else self._placed & live
-        (which,) = going.nonzero()
-        if (
-            which.size < FEWEST_FLYING
-            or self._task.n_agents > LARGEST_FLYING_TEAM
-            or not flight_has_the_bits_of_a_space()
-        ):
-            for k in which.tolist():
-                space = self._space_of(k)
-                space.step(force[k])
-                self._forces[k] += force[k].tobytes()
-                self._caught_up[k] = len(self._forces[k])
-                position[k], velocity[k] = space.position, space.velocity
-            self._touched[which] = True
-            return
-        for k in which.tolist():
-            self._forces[k] += force[k].tobytes()
-        path, end_velocity = fly(position[which], velocity[which], force[which])
-        flown = path[-1]
-        touches = touching(self._task, path, walls[which], self._pairs)
-        for row in (touches | self._touched[which]).nonzero()[0].tolist():
-            space = self._space_of(int(which[row]))
-            # An overlap correction left from the last step moves what touches nothing in this one.
-            moved = (space.position != flown[row]).any() or (space.velocity != end_velocity[row]).any()
-            touches[row] |= moved
-            flown[row], end_velocity[row] = space.position, space.velocity
-        position[which], velocity[which], self._touched[which] = flown, end_velocity, touches
+    ) -> Bools:
+        """Advance position and velocity (B, N, 2), in place, under force (B, N, 2).
 
-    def _space_of(self, k: int) -> SlottedSpace:
-        """The Space of episode k after all steps whose forces are recorded."""
-        space, done, forces = self._spaces[k], self._caught_up[k], self._forces[k]
-        if space is None or self._stale[k]:
-            if space is None:
-                self._spaces[k] = space = SlottedSpace(self._task)
-            else:
-                space.renew()
-            space.agents[0] = self._agents[k]
-            space.walls[0, :, :2] = self._walls[k]
-            space.write()
-            self._stale[k] = False
-        if done < len(forces):
-            for force in np.frombuffer(bytes(forces[done:])).reshape(-1, self._task.n_agents, 2):
-                space.advance(force)
-            space.read()
-            self._caught_up[k] = len(forces)
+        Returns (B,): False where no two agents are within `collision_gap` afterwards.
+        """
+        n_episodes = len(position)
+        close: Bools = np.ones(n_episodes, dtype=np.bool_)
+        steps, size = force.tobytes(), force[0].nbytes
+        for k in range(n_episodes) if live is None else live.nonzero()[0].tolist():
+            self._forces[k] += steps[k * size : (k + 1) * size]
+        in_spaces = [*self._lent, *self._in_own]
+        (which,) = (self._flying if live is None else self._flying & live).nonzero()
+        if which.size < FEWEST_TOGETHER:
+            for k in which.tolist():
+                touches, near = fly_alone(self._task, position[k], velocity[k], force[k], walls[k])
+                close[k] = touches or near
+                if touches:
+                    self._lend(k, position[k], velocity[k])
+                    in_spaces.append(k)
+        else:
+            path, end_velocity = fly(position[which], velocity[which], force[which])
+            met, all_near = touching(self._task, path, walls[which], self._pairs)
+            touching_ones = which[met].tolist()
+            for k in touching_ones:
+                self._lend(k, position[k], velocity[k])
+            in_spaces += touching_ones
+            position[which], velocity[which], close[which] = path[-1], end_velocity, all_near | met
+        for k in in_spaces:
+            if live is None or live[k]:
+                step = self._step_lent if k in self._lent else self._step_own
+                space = step(k, force[k])
+                position[k], velocity[k] = space.position, space.velocity
+        return close
+
+    def _lend(self, k: int, position: Floats, velocity: Floats) -> None:
+        self._flying[k] = False
+        self._lent[k] = space = self._idle.pop() if self._idle else SlottedSpace(self._task)
+        space.agents[0, :, :2], space.agents[0, :, 2:] = position, velocity
+        space.walls[0, :, :2] = self._walls[k]
+        space.write()
+
+    def _take_back(self, k: int) -> None:
+        space = self._lent.pop(k)
+        space.renew()
+        self._idle.append(space)
+
+    def _step_lent(self, k: int, force: Floats) -> SlottedSpace:
+        space = self._lent[k]
+        contacts = space.advance(force, watch=True)
+        if contacts > 1:
+            self._take_back(k)
+            self._in_own.add(k)
+            return self._step_own(k, force)
+        space.read()
+        if not contacts:  # Chipmunk remembers nothing of the last one either
+            self._idle.append(self._lent.pop(k))
+            self._flying[k] = True
+        return space
+
+    def _step_own(self, k: int, force: Floats) -> SlottedSpace:
+        """Step the own Space of episode k, after all earlier steps since `place` that it missed."""
+        forces = self._forces[k]
+        done, due = self._caught_up.get(k), len(forces) - force.nbytes
+        space = self._begin_own(k) if done is None else self._own[k]
+        if done != due:
+            for missed in np.frombuffer(bytes(forces[done or 0 : due])).reshape(-1, *force.shape):
+                space.advance(missed)
+        space.step(force)
+        self._caught_up[k] = len(forces)
+        look = self._task.n_agents <= LARGEST_FLYING_TEAM and due // force.nbytes % PATIENCE == 0
+        if look and not space.contacts():
+            self._in_own.remove(k)
+            self._flying[k] = True
+        return space
+
+    def _begin_own(self, k: int) -> SlottedSpace:
+        """The own Space of episode k as at `place`."""
+        if k in self._own:
+            self._own[k].renew()
+        else:
+            self._own[k] = SlottedSpace(self._task)
+        space = self._own[k]
+        space.agents[0] = self._agents[k]
+        space.walls[0, :, :2] = self._walls[k]
+        space.write()
         return space
 
     def __getstate__(self) -> dict[str, Any]:
-        n_episodes = len(self._spaces)
-        return {**self.__dict__, "_spaces": [None] * n_episodes, "_caught_up": [0] * n_episodes}
+        spaces: dict[str, Any] = {"_lent": {}, "_idle": [], "_own": {}, "_caught_up": {}}
+        return {**self.__dict__, **spaces, "_in_own": self._in_own | set(self._lent)}
 
 
 @cache

@@ -54,11 +54,14 @@ class SharedSpaces:
 
     def step(
         self, position: Floats, velocity: Floats, force: Floats, walls: Floats, live: Bools | None
-    ) -> None:
-        """Advance position and velocity (B, N, 2), in place, under force (B, N, 2)."""
+    ) -> Bools:
+        """Advance position and velocity (B, N, 2), in place, under force (B, N, 2).
+
+        Returns (B,): False where no two agents are within `collision_gap` afterwards.
+        """
         path, end_velocity = fly(position, velocity, force)
         end_position = path[-1]
-        touches = self._touches(path, walls)
+        touches, close = self._touches(path, walls)
         needs_space = touches | self._touched
         if live is not None:
             needs_space &= live
@@ -86,16 +89,18 @@ class SharedSpaces:
             off_course = np.abs(real_position - end_position[inside]) > ROUNDING
             off_course |= np.abs(real_velocity - end_velocity[inside]) > ROUNDING
             self._touched[inside] |= off_course.any(axis=(1, 2))
+            close[inside] = True
             end_position[inside], end_velocity[inside] = real_position, real_velocity
             if slots.size < in_use:
                 occupant[occupant == COOLING] = FREE
         position[...] = end_position
         velocity[...] = end_velocity
+        return close
 
-    def _touches(self, path: Floats, walls: Floats) -> Bools:
-        """(B,): whether an episode that flies freely along `path` (MOVES, B, N, 2) has a contact."""
+    def _touches(self, path: Floats, walls: Floats) -> tuple[Bools, Bools]:
+        """Two arrays (B,), see `touching`, of episodes that fly freely along `path` (MOVES, B, N, 2)."""
         if self._task.n_agents > LARGEST_FLYING_TEAM:
-            return np.ones_like(self._touched)
+            return np.ones_like(self._touched), np.ones_like(self._touched)
         return touching(self._task, path, walls, self._pairs)
 
     def _assign_slots(self, needs_space: Bools) -> None:

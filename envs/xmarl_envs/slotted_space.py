@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pymunk
-from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
+from pymunk.batch import (
+    ArbiterFields,
+    BodyFields,
+    Buffer,
+    get_space_arbiters,
+    get_space_bodies,
+    set_space_bodies,
+)
 
 from xmarl_envs.task import Floats, Task
 
@@ -21,6 +28,7 @@ BORDER_THICKNESS = 0.5  # m
 COLLISION_SLOP = 1e-4  # m; pymunk's default of 0.1 is as large as an agent
 PUSH = np.array(float(CONTACT_CHECKS))  # an array: numpy takes twice as long with a Python float
 STATE, FORCE = BodyFields.POSITION | BodyFields.VELOCITY, BodyFields.FORCE
+BODIES = ArbiterFields.BODY_A_ID | ArbiterFields.BODY_B_ID
 
 
 class SlottedSpace:
@@ -48,7 +56,7 @@ class SlottedSpace:
         n_discs, n_walls = n_slots * task.n_agents, n_slots * task.n_walls
         state = np.zeros((n_discs + n_walls + 1, 4))
         force = np.zeros((n_discs + n_walls + 1, 2))
-        self._state_in, self._force_in, self._state_out = Buffer(), Buffer(), Buffer()
+        self._state_in, self._force_in, self._state_out, self._bodies = Buffer(), Buffer(), Buffer(), Buffer()
         self._state_in.set_float_buf(state)
         self._force_in.set_float_buf(force)
         self.agents = state[:n_discs].reshape(n_slots, task.n_agents, 4)
@@ -71,8 +79,11 @@ class SlottedSpace:
         task, n_slots = self._task, len(self.offset)
         self._space = space = pymunk.Space()
         space.collision_slop = COLLISION_SLOP
+        space.collision_persistence = CONTACT_CHECKS  # moves; `contacts` relies on it
+        self._discs = set()
         for _ in range(n_slots * task.n_agents):
             disc = pymunk.Body(1.0, float("inf"))
+            self._discs.add(disc.id)
             space.add(disc, _frictionless(pymunk.Circle(disc, task.radius)))
         # Kinematic, not static: they move between episodes, and Chipmunk re-indexes kinematic shapes itself.
         for _ in range(n_slots * task.n_walls):
@@ -98,8 +109,12 @@ class SlottedSpace:
         self.advance(force)
         self.read()
 
-    def advance(self, force: Floats) -> None:
-        """As `step`, without reading `position` and `velocity`."""
+    def advance(self, force: Floats, watch: bool = False) -> int:
+        """As `step`, without reading `position` and `velocity`.
+
+        Returns the most contacts that a disc had at once, if `watch`; several in a row count too.
+        """
+        most = 0
         # A move changes the position by the old velocity, then the velocity. Only the last move of a substep
         # applies drag and force, for the whole substep: contacts are found early, free flight is the same.
         np.multiply(force, PUSH, out=self._force)
@@ -111,6 +126,19 @@ class SlottedSpace:
             space.damping = DAMPING
             set_space_bodies(space, FORCE, self._force_in)  # every Space.step clears it
             space.step(MOVE)
+            if watch:
+                most = max(most, self.contacts())
+        return most
+
+    def contacts(self) -> int:
+        """The most contacts of a disc in the last CONTACT_CHECKS moves, which is what Chipmunk remembers."""
+        self._bodies.clear()
+        get_space_arbiters(self._space, BODIES, self._bodies)
+        touching = self._bodies.int_buf()
+        if not len(touching):
+            return 0
+        bodies: list[int] = np.frombuffer(touching, np.uintp).tolist()
+        return max(bodies.count(body) for body in self._discs.intersection(bodies))
 
     def read(self) -> None:
         """Let `position` and `velocity` show the bodies as they are now."""

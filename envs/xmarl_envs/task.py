@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+_TRIES = 10_000  # of `scatter`, for the last of its points
 
 
 class Layout(NamedTuple):
@@ -141,13 +142,14 @@ def scatter(rng: np.random.Generator, n_points: int, half_width: float, spacing:
     Raises RuntimeError if the square is too crowded.
     """
     points: list[tuple[float, float]] = []
-    for _ in range(n_points):
-        for _ in range(10_000):
-            x, y = rng.uniform(-half_width, half_width, 2).tolist()
-            # Python floats give the same bits as arrays, and are faster for small teams.
-            if all(sqrt((x - a) * (x - a) + (y - b) * (y - b)) >= spacing for a, b in points):
+    for _ in range(_TRIES):
+        # As many as still lack a place: never more than are needed, whatever fits.
+        for x, y in rng.uniform(-half_width, half_width, (n_points - len(points), 2)).tolist():
+            for a, b in points:
+                if sqrt((x - a) * (x - a) + (y - b) * (y - b)) < spacing:
+                    break
+            else:
                 points.append((x, y))
-                break
-        else:
-            raise RuntimeError(f"no room for {n_points} points {spacing} m apart within +-{half_width} m")
-    return np.array(points).reshape(n_points, 2)
+        if len(points) == n_points:
+            return np.array(points).reshape(n_points, 2)
+    raise RuntimeError(f"no room for {n_points} points {spacing} m apart within +-{half_width} m")

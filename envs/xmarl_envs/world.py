@@ -54,9 +54,11 @@ class World:
         self._walls[episodes] = walls
         self._spaces.place(episodes, agents, self.velocity[episodes], walls)
 
-    def step(self, force: Floats, live: Bools | None = None) -> None:
+    def step(self, force: Floats, live: Bools | None = None) -> Bools:
         """Advance by TIME_STEP under constant forces (B, N, 2) in newton.
 
         live: (B,) episodes to advance; the others may stay as they are.
+
+        Returns (B,): False where no two agents are within `collision_gap` of each other.
         """
-        self._spaces.step(self.position, self.velocity, force, self._walls, live)
+        return self._spaces.step(self.position, self.velocity, force, self._walls, live)

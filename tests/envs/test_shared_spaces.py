@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 from pymunk import Body
 from xmarl_envs import TASKS, VectorEnv, make_task
-from xmarl_envs.separate_spaces import SeparateSpaces
 from xmarl_envs.shared_spaces import LARGEST_FLYING_TEAM, SharedSpaces
 from xmarl_envs.slotted_space import SlottedSpace
 from xmarl_envs.world import World
@@ -173,14 +172,3 @@ def test_a_slotted_space_s_views_show_its_bodies(name: str, n_slots: int) -> Non
         position = [tuple(at) for at in space.position.reshape(-1, 2)]
         assert [tuple(disc.position) for disc in discs] == position
         assert [tuple(disc.velocity) for disc in discs] == [tuple(v) for v in space.velocity.reshape(-1, 2)]
-
-
-def test_memory_does_not_grow_with_the_number_of_episodes() -> None:
-    """pymunk never frees a batch's Buffer: one per episode would leak 0.6 kB each."""
-    env = VectorEnv(make_task("blind_navigation_v0", 3))
-    env.reset([0])
-    spaces = env.world._spaces
-    assert isinstance(spaces, SeparateSpaces)
-    before = spaces._spaces[0]
-    env.reset([1])
-    assert spaces._spaces[0] is before

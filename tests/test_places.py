@@ -48,8 +48,8 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder.mkdir()
     for package in (xmarl_bench, xmarl_envs, xmarl_baselines):
         source = Path(str(package.__file__)).parent
-        ignored = shutil.ignore_patterns("__pycache__", "*-at*")
-        shutil.copytree(source, folder / package.__name__, ignore=ignored)
+        # With compiled modules, which each command would otherwise compile again.
+        shutil.copytree(source, folder / package.__name__, ignore=shutil.ignore_patterns("*-at*"))
     (folder / "sitecustomize.py").write_text(OFFLINE, encoding="utf-8")
     for path in (folder, *folder.rglob("*")):
         path.chmod(0o555 if path.is_dir() else 0o444)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from xmarl_bench.entry.schema import Entry
     from xmarl_bench.metrics.statistics import Difference
 
+ALL_PAIRS = 6  # explainers: of more, only the pairs with the first are printed
+
 
 def compare(
     entry: Annotated[
@@ -96,6 +98,9 @@ def _print(comparison: Comparison) -> None:
         ],
         keep=("mean", "95 %", "tie group"),
     )
+    best = comparison.standings[0].explainer
+    few = len(comparison.standings) <= ALL_PAIRS
+    shown = [pair for pair in comparison.pairs if few or pair.first == best]
     print_table(
         [
             {
@@ -106,10 +111,12 @@ def _print(comparison: Comparison) -> None:
                 "p": "-" if pair.difference.p is None else f"{pair.difference.p:.2g}",
                 "Holm": "-" if pair.p_holm is None else f"{pair.p_holm:.2g}",
             }
-            for pair in comparison.pairs
+            for pair in shown
         ],
         keep=("difference", "95 %", "Holm"),
     )
+    if len(shown) < len(comparison.pairs):
+        print(f"Pairs with the first; --json has all {len(comparison.pairs)}, for which Holm corrects.")
 
 
 def _number(value: float | None) -> str:

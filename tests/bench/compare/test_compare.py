@@ -162,6 +162,18 @@ def test_the_command_prints_json_and_draws(run_cli: RunCli, entry: Entry, tmp_pa
 
 
 @pytest.mark.slow
+def test_of_many_explainers_the_pairs_with_the_first_are_printed(
+    run_cli: RunCli, entry: Entry, tmp_path: Path
+) -> None:
+    for k in range(8):
+        write_entry(tmp_path, like(entry, f"e{k}", [0.1 * k, 0.1 * k, 0.1, 0.2]))
+    ran = run_cli("compare", tmp_path, "--metric", "fid_delta")
+    assert ran.out.count("e7 - ") == 7
+    assert "e6 - " not in ran.out
+    assert "--json has all 28" in ran.out
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "length"), [(2, 3), (25, 12), (8, 100)])
 def test_the_picture_numbers_every_tie_group_and_cuts_nothing(n: int, length: int, entry: Entry) -> None:
     names = [f"{k:02}".ljust(length, "x") for k in range(n)]

@@ -18,6 +18,7 @@ GRID = 24  # points of a density
 class Axis:
     low: float
     high: float
+    least_step: float = 0.0  # of ticks
 
     def at(self, value: float) -> float:
         """Percent of the way from low to high, within 0 and 100."""
@@ -27,7 +28,7 @@ class Axis:
     @property
     def ticks(self) -> list[float]:
         """Between three and seven round values."""
-        raw = (self.high - self.low) / 4
+        raw = max(self.least_step, (self.high - self.low) / 4)
         scale = 10.0 ** math.floor(math.log10(raw))
         step = next(scale * k for k in (1, 2, 2.5, 5, 10) if scale * k >= raw * 0.99)
         first = math.ceil(self.low / step - 1e-9)

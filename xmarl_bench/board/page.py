@@ -131,7 +131,7 @@ def _environment(explainers: Set[str], cards: Json) -> Environment:
                 return Markup("<code>{}</code>").format(name)
             return Markup('<a href="{}{}">{}</a>').format(root, explainer_path(name), name)
 
-        parts = QUOTED.split(text)
+        parts = QUOTED.split(text.replace(" %", "\u00a0%"))
         return Markup("").join(link(part) if k % 2 else escape(part) for k, part in enumerate(parts))
 
     environment.filters |= {"breakable": breakable, "num": number, "linked": linked, "short_task": short_task}

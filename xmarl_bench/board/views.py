@@ -7,7 +7,7 @@ over all tasks is `index.html`; all others are in `pages/`, under names that do 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -210,7 +210,7 @@ def budget_chart(table: Json, policy: Json, details: Mapping[str, Details], kind
     bounds = [(name, best[name]) for name in ("oracle", "random")]
     listed = [*((row["explainer"], each) for row, each in explained), *bounds]
     most = max(len(each) for _, each in listed)
-    x = axis_of([], around=(1.0, float(most)))
+    x = replace(axis_of([], around=(1.0, float(most))), least_step=1.0)
     y = axis_of([value for _, each in listed for point in each for value in point], around=(0.0,))
 
     def curve(each: list[list[float]], part: int = 0) -> list[tuple[float, float]]:
@@ -232,7 +232,7 @@ def budget_chart(table: Json, policy: Json, details: Mapping[str, Details], kind
     return {
         "x": x,
         "y": y,
-        "lines": lines,
+        "lines": lines if most > 1 else [],  # one budget is no curve: its numbers are shown
         "x_title": "edges kept in each row, k",
         "y_title": f"{title_of(GAMED)}@k",
         "label": f"{policy['name']}: {title_of(GAMED)} against the budget, {edges}",

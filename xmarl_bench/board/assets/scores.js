@@ -61,7 +61,7 @@ function draw() {
   clear();
   $("scores").replaceChildren(
     element("thead", {}, element("tr", {}, ...made.map(([title, about, better]) => element("th", { scope: "col", "data-sort": better },
-      element("button", { type: "button", "data-def": about, "aria-describedby": `def-${about}` }, title))))),
+      element("button", { type: "button", "data-def": about, "aria-describedby": `def-${about}` }, title.replace(/ ([\u2191\u2193])$/, "\u00a0$1")))))),
     ...groups.filter(([, each], k) => k === 0 || each.length).map(([name, each]) => element("tbody", name ? { "data-group": name } : {},
       ...each.map((row) => element("tr", { class: row.control ? "control" : null }, ...made.map(([, , , cell]) => cell(row)))))));
   clear = enhance($("scores"));

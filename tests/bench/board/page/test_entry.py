@@ -108,6 +108,16 @@ def pixel(png: bytes, x: int, y: int) -> tuple[int, int, int]:
     return red, green, blue
 
 
+def test_one_budget_is_shown_as_numbers(board: Path, browse: Browse) -> None:
+    """Of three agents, the messages have one budget; all edges have two."""
+    page = browse(board / "entry.html", f"#{find(board, 'p0').entry_id[:16]}")
+    messages, edges = page.locator("#budgets figure").all()
+    expect(messages.locator(".plot")).to_have_count(0)
+    expect(messages.locator("tbody tr").first).to_contain_text("0.900 [0.900, 0.900]")
+    expect(edges.locator(".plot")).to_be_visible()
+    expect(edges.locator(".xticks .tick")).to_have_text(["1", "2"])
+
+
 def test_pages_work_without_an_animation(board: Path, browse: Browse) -> None:
     identity = find(board, "p2").entry_id[:16]
     page = browse(board / "entry.html", f"#{identity}", viewport={"width": 360, "height": 740})

@@ -13,7 +13,7 @@ from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.recipes import RECIPES, Recipe, recipe_for
 from xmarl_baselines.training.trainer import Run
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.policy.bundle import load_card
 
 SIZES = (3, 4, 5)
@@ -74,5 +74,5 @@ def run_named(name: str) -> Run:
             return run
         raise InputError(f"{name} cannot be made by one run: `training` in its card says how to make it.")
     if name not in runs:
-        raise InputError(f"no reference policy is called {name!r}: choose one of {', '.join(runs)}.")
+        raise unknown("reference policy", name, runs)
     return runs[name]

@@ -241,4 +241,4 @@ def test_reproduce_all_trains_missing_runs_and_reports_failures(
     assert "2 of 2" in said and names[0] not in said
     assert f"{names[1]} FAILED" in said
     assert "other settings" in (tmp_path / f"{names[1]}.log").read_text()
-    assert "no reference policy is called 'a'" in (tmp_path / "a.log").read_text()
+    assert "unknown reference policy 'a': choose one of" in (tmp_path / "a.log").read_text()

@@ -43,12 +43,13 @@ def evaluate(
     from xmarl_bench.cli import tables
     from xmarl_bench.cli.fitted_table import print_table
     from xmarl_bench.cli.score_table import performance_rows
+    from xmarl_bench.isolation.limits import UNLIMITED
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.rollout.cell import Sampling
     from xmarl_bench.rollout.evaluation import evaluate as run
     from xmarl_bench.scoring.selection import select_policies
 
-    selected = select_policies(policy, task, agents, team, trust_code=trust_code)
+    selected = select_policies(policy, task, agents, team, trust_code=trust_code, limits=UNLIMITED)
     pairs = [(network, card, cell) for network, card, cells in selected for cell in cells]
     performances = run(
         [(network, cell) for network, _, cell in pairs],

@@ -137,15 +137,17 @@ Parallel = Annotated[
 Isolate = Annotated[
     bool,
     typer.Option(
-        help="Run explainers that are not shipped in processes of their own. --no-isolate runs them in this "
-        "process, to debug them: entries say so, and nothing is kept in the cache.",
+        help="Run explainers that are not shipped, and policies and tasks that are code, in processes of "
+        "their own. --no-isolate runs them in this process, to debug them: entries say so, and nothing is "
+        "kept in the cache.",
         rich_help_panel=HOW_MUCH,
     ),
 ]
 AnswerSeconds = Annotated[
     float,
     typer.Option(
-        help="Seconds in which a process of an explainer must answer for an episode.",
+        help="Seconds in which such a process must answer: an explainer for an episode, a policy for a batch "
+        "of masks, a task for a step.",
         rich_help_panel=HOW_MUCH,
     ),
 ]

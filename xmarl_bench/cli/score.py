@@ -143,7 +143,7 @@ def score(
     check_behaviour_episodes(behaviour_episodes)
     if not any(map(is_reference, names)):  # code says its name when it runs
         check_among(no_behaviour, names)
-    chosen = choose_policies(policy, task, agents, team, trust_code=trust_code)
+    chosen, not_opened = choose_policies(policy, task, agents, team, trust_code=trust_code, limits=limits)
     read_entries(out / "entries")  # fails now rather than after the run if the board cannot be built
 
     # Whatever needs no network was checked above: these import torch, which takes seconds.
@@ -202,7 +202,8 @@ def score(
         print_scores(entries, explainers)
         where = f"{out / 'entries'}, leaderboard in {board} and {out / 'index.html'}"
         print(f"{counted(len(entries), 'entry')} in {where}.")
-    tables.exit_for_failures([*not_loaded, *failed], len(not_loaded) + len(requests))
+    absent = [*not_opened, *not_loaded]
+    tables.exit_for_failures([*absent, *failed], len(absent) + len(requests))
 
 
 def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> None:

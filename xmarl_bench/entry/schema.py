@@ -65,6 +65,8 @@ class PolicyRecord(Record):
     training_seed: int | None
     code: Text | None = None  # link to its training code
     trusted_code: bool = False  # the policy ran its own code
+    # False: its code ran in the process that measured, for debugging. None: all others.
+    isolated: Literal[False] | None = left_out()
 
 
 class ExplainerRecord(Record):
@@ -103,6 +105,8 @@ class TaskRecord(Record):
     environment: Text  # the class of its environment
     environment_distribution: Text | None
     environment_version: Text | None
+    # False: its code ran in the process that measured, for debugging. None: all others.
+    isolated: Literal[False] | None = left_out()
 
 
 class Protocol(Record):

@@ -24,6 +24,7 @@ from xmarl_bench.origin.references import Origin
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.black_box import BlackBox
 from xmarl_bench.policy.device import CPU, checked_device
+from xmarl_bench.policy.elsewhere import PolicyElsewhere
 from xmarl_bench.reproducible import seeded
 from xmarl_bench.rollout.simulator import Simulator
 
@@ -118,10 +119,11 @@ def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
     settings that PyG's algorithms keep on their class. Raises InputError, naming the explainer, if it fails.
     """
     n_steps, n_agents, _ = observations.shape
-    if explainer.elsewhere is None:
+    elsewhere = elsewhere_of(explainer, policy)
+    if elsewhere is None:
         returned = returned_by(explainer, policy, observations, seed)
     else:
-        returned = explainer.elsewhere.explain(policy, observations, seed, explainer.simulator)
+        returned = elsewhere.explain(policy, observations, seed, explainer.simulator)
         explainer = replace(explainer, signed=False)  # its process has mapped it to [0, 1]
     mask = mask_of_explainer(explainer, returned, n_steps, n_agents)
     adjacency = policy.adjacency(observations)
@@ -161,9 +163,9 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
     fit = explainer.fit
     if fit is None:
         return explainer
-    if explainer.elsewhere is not None:
-        elsewhere = explainer.elsewhere.fit(policy, observations, seed)
-        return replace(explainer, elsewhere=elsewhere, fitted_on=observations)
+    elsewhere = elsewhere_of(explainer, policy)
+    if elsewhere is not None:
+        return replace(explainer, elsewhere=elsewhere.fit(policy, observations, seed), fitted_on=observations)
     fitted = _guarded(
         explainer,
         seed,
@@ -171,6 +173,17 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
         lambda generator: fit(*_given(explainer, policy, observations), generator),
     )
     return replace(explainer, explain=fitted, fitted_on=observations)
+
+
+def elsewhere_of(explainer: Explainer, policy: Policy) -> Elsewhere | None:
+    """What asks the explainer if it, or the network that it needs, is in another process; None: it runs here.
+
+    Controls need answers of the policy only.
+    """
+    if explainer.elsewhere is not None or explainer.control or not isinstance(policy, PolicyElsewhere):
+        return explainer.elsewhere
+    asked: Elsewhere = policy.taking(explainer)
+    return asked
 
 
 def on_device(explainer: Explainer, name: str) -> Explainer:

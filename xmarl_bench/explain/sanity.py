@@ -17,6 +17,7 @@ from torch import Tensor
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.metrics import rank_correlation
 from xmarl_bench.policy import Policy, existing_edges
+from xmarl_bench.policy.elsewhere import PolicyElsewhere
 from xmarl_bench.reproducible import derived_seed
 
 SEEDS = 3
@@ -59,6 +60,8 @@ def mask_of_shuffled_weights(explainer: Explainer, policy: Policy, observations:
 
 def shuffled_weights(policy: Policy, seed: int) -> Policy:
     """A copy with the entries of every parameter tensor in random order: same scales, nothing learned."""
+    if isinstance(policy, PolicyElsewhere):
+        return policy.shuffled(seed)
     generator = torch.Generator().manual_seed(seed)
     shuffled = copy.deepcopy(policy)
     with torch.no_grad():

@@ -1,1 +1,1 @@
-"""Third-party code in processes of its own: walls, limits, the process, and explainers asked over a pipe."""
+"""Third-party code in processes of its own: walls, limits, the process, and what is asked over a pipe."""

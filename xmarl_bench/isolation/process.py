@@ -50,7 +50,12 @@ class Stranger:
             )
         self.name, self.limits = shown(name, 200)[1:-1], limits
         folders = [*python_folders(), *readable]
-        worker = {"limits": vars(limits), "wall": wall, "readable": [str(each) for each in folders]}
+        worker = {
+            "name": self.name,
+            "limits": vars(limits),
+            "wall": wall,
+            "readable": [str(each) for each in folders],
+        }
         ours, theirs = socket.socketpair()
         with theirs:
             config = {
@@ -107,7 +112,7 @@ class Stranger:
             raise self._wrong("returned invalid JSON")
         if "error" in header:
             said = shown(header["error"], 500)[1:-1]
-            named = said.startswith("explainer ") or self.name in said
+            named = said.startswith(("explainer ", "policy ", "task ")) or self.name in said
             raise InputError(said if named else f"{self.name}: {said}")
         return header, payload
 

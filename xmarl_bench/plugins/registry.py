@@ -7,13 +7,17 @@ raises an error with its name.
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.isolation.explainers import Isolation, find_elsewhere, isolate
+from xmarl_bench.isolation.conversation import Isolation, Source
+from xmarl_bench.isolation.explainers import find_elsewhere, isolate
+from xmarl_bench.isolation.policies import open_elsewhere
 from xmarl_bench.origin.installed import package_version
 from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin
 from xmarl_bench.origin.references import (
@@ -112,18 +116,54 @@ def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyC
     place = place_of(name, trust_code=trust_code)
     if isinstance(place, Path):
         return load_policy(place)
-    if place is None:
+    return run_policy(name, None if place is None else place.plugin)
+
+
+def run_policy(name: str, plugin: EntryPoint | None) -> tuple[Policy, PolicyCard]:
+    """A policy that is code, of a plugin or by `module:factory`. Raises InputError if it cannot be made."""
+    if plugin is None:
         factory, origin = load_reference(name)
         return _made(factory, name).open(origin)
-    code = places_of_plugin(place.plugin).get(name)
+    code = places_of_plugin(plugin).get(name)
     made = _made(code, name)
     if made.name != name:
         raise InputError(
-            f"policy plugin {name!r} ({place}) calls itself {made.name!r}: use one name for both."
+            f"policy plugin {name!r} ({plugin.value}) calls itself {made.name!r}: use one name for both."
         )
     named = getattr(code, "__qualname__", None)
     where = None if named is None else f"{code.__module__}:{named}"
-    return made.open(origin_of_plugin(place.plugin, where))
+    return made.open(origin_of_plugin(plugin, where))
+
+
+def ask_policy(
+    name: str,
+    isolation: Isolation = Isolation(),  # noqa: B008
+    *,
+    trust_code: bool = False,
+) -> tuple[Policy, PolicyCard]:
+    """As `open_policy`, but a policy that is code runs in a process of its own.
+
+    Raises InputError as `open_policy` does, and if the process fails.
+    """
+    place = place_of(name, trust_code=trust_code)
+    if isinstance(place, Path):
+        return load_policy(place)
+    if place is not None:
+        plugin = place.plugin
+        question: dict[str, Any] = {"policy": name, "plugin": (plugin.name, plugin.value, plugin.group)}
+        policy, card = open_elsewhere(
+            Source(f"policy {name}", None, isolation), question, origin_of_plugin(plugin, "")
+        )
+        if card.name != name:
+            raise InputError(f"policy plugin {name!r} calls itself {card.name!r}: use one name for both.")
+        return policy, card
+    file, _, of_place = name.rpartition(":")
+    readable, origin = tuple[Path, ...](), None
+    if is_file(file):
+        readable = (Path(file).resolve(),)
+        name, origin = f"{readable[0]}:{of_place}", origin_of_file(readable[0], of_place)
+    source = Source(f"policy {Path(name).name}", None, isolation, readable)
+    return open_elsewhere(source, {"policy": name, "plugin": None}, origin)
 
 
 def _made(factory: object, name: str) -> PolicyModule:

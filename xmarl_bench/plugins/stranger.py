@@ -36,7 +36,7 @@ def main() -> None:
     Limits(**config["limits"]).apply()
     if config["wall"] == "landlock":
         close_in([Path(each) for each in config["readable"]], Path(tempfile.gettempdir()))
-    worker = Worker()
+    worker = Worker(config["name"])
     while (question := _receive(questions)) is not None:
         _send(answers, *_attempt(worker, question))
 
@@ -57,27 +57,36 @@ def _attempt(worker: Worker, question: dict[str, Any]) -> Answer:
 
 
 class Worker:
-    """The explainer, its fitted copies, and the policies to explain."""
+    """The explainer, its fitted copies, and the policies."""
 
-    def __init__(self) -> None:
-        self.name = "third-party code"
+    def __init__(self, name: str) -> None:
+        self.name = name
         self.explainer: Any = None
-        self.policies: dict[str, Any] = {}
         self.fitted: dict[str, Any] = {}
+        self.policies: Any = None
+        self.tasks: Any = None
 
     def answer(self, question: dict[str, Any]) -> Answer:
-        answers = {"load": self.load, "policies": self.list_policies, "explain": self.run, "fit": self.run}
-        return answers[question["what"]](question)
+        what = question["what"]
+        if what == "policies":
+            return self.list_policies(question)
+        if what in ("task", "make", "reset", "step_task"):
+            return self.play(question)
+        with without_collector():  # before the code, so that it cannot be kept from loading
+            from xmarl_bench.plugins.stranger_policies import Policies, open_code
+
+        if self.policies is None:
+            self.policies = Policies()
+        answers = {"load": self.load, "explain": self.run, "fit": self.run, "open": open_code}
+        answer: Answer = answers.get(what, self.policies.answer)(question)
+        return answer
 
     def load(self, question: dict[str, Any]) -> Answer:
         """Load an explainer, which runs its code; returns its declarations."""
-        with without_collector():
-            import torch  # noqa: F401  # before the code, so that it cannot be kept from loading
-
-            from xmarl_bench.explain.adapters import origin_of_explainer
-            from xmarl_bench.explain.simulated import SIMULATOR
-            from xmarl_bench.origin.code_hash import object_sha256
-            from xmarl_bench.plugins.registry import find_explainer
+        from xmarl_bench.explain.adapters import origin_of_explainer
+        from xmarl_bench.explain.simulated import SIMULATOR
+        from xmarl_bench.origin.code_hash import object_sha256
+        from xmarl_bench.plugins.registry import find_explainer
 
         name = question.get("explainer")
         self.name = f"explainer {name!r}"
@@ -104,6 +113,15 @@ class Worker:
         }
         return declared, b""
 
+    def play(self, question: dict[str, Any]) -> Answer:
+        """Make the task of others, or step its episodes."""
+        from xmarl_bench.plugins.stranger_tasks import Tasks
+
+        if self.tasks is None:
+            self.tasks = Tasks()
+        answer: Answer = self.tasks.answer(question)
+        return answer
+
     def list_policies(self, question: dict[str, Any]) -> Answer:
         """The policies of a plugin: folders of bundles by name, and the names of those that are code."""
         from xmarl_bench.plugins.names import places_of_plugin
@@ -121,27 +139,19 @@ class Worker:
         from xmarl_bench.explain.explainer import fit_explainer, run_explainer
         from xmarl_bench.reproducible import one_thread
 
-        for forgotten in question.get("policies", ()):
-            del self.policies[forgotten]
-        if "weights" in question:
-            self.policies[question["policy"]] = question["weights"]
-        policy, x = self._policy(question["policy"]), torch.tensor(question["observations"])
-        seed, key = question["seed"], question["fitted"]
+        self.policies.receive(question)
+        policy, x = self.policies.get(question["policy"]), torch.tensor(question["observations"])
+        seed, key, shipped = question["seed"], question["fitted"], question["shipped"]
+        explainer = self.explainer if shipped is None else pickle.loads(shipped)
         with one_thread():
             if question["what"] == "fit":
                 for forgotten in question["fits"]:
                     del self.fitted[forgotten]
-                self.fitted[key] = fit_explainer(self.explainer, policy, x, seed)
+                self.fitted[key] = fit_explainer(explainer, policy, x, seed)
                 return {}, b""
-            explainer = self.explainer if key is None else self.fitted[key]
+            explainer = explainer if key is None else self.fitted[key]
             mask = run_explainer(replace(explainer, simulator=question["simulator"]), policy, x, seed).numpy()
         return {"shape": list(mask.shape)}, mask.astype("<f4").tobytes()
-
-    def _policy(self, key: str) -> Any:
-        """The policy, unpickled when it is first explained, so that a failure is that question's."""
-        if isinstance(self.policies[key], bytes):
-            self.policies[key] = pickle.loads(self.policies[key])
-        return self.policies[key]
 
 
 def _receive(pipe: IO[bytes]) -> Any:

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 from torch_geometric.nn import MessagePassing
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.policy.interface import NoAttentionError
 from xmarl_bench.policy.messages import GivenEdges, followed, layers_of
 from xmarl_bench.policy.recurrent import run
 
@@ -27,7 +27,7 @@ from xmarl_bench.policy.recurrent import run
 def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
     """(n, D), (2, edges) row-major -> (edges,): the mean of the coefficients over heads and layers.
 
-    Raises InputError if no layer has attention.
+    Raises NoAttentionError if no layer has attention.
     """
     given, found = GivenEdges(edge_index, len(x)), list[Tensor]()
 
@@ -51,7 +51,7 @@ def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
             if call.layer not in asked and isinstance(alpha, Tensor):
                 keep(call.places, alpha)
     if not found:
-        raise InputError(f"{type(network).__name__} has no attention layer: choose another explainer.")
+        raise NoAttentionError(f"{type(network).__name__} has no attention layer: choose another explainer.")
     return torch.stack(found).mean(dim=0)
 
 

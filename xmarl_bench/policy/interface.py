@@ -15,9 +15,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from xmarl_bench.errors import InputError
 from xmarl_bench.policy.distribution import ActionDistribution
 from xmarl_bench.policy.edge_weights import checked_weights
 from xmarl_bench.policy.graph import CompleteGraph, Graph, complete_graph, edge_index_of
+
+
+class NoAttentionError(InputError):
+    """No layer of the policy has attention."""
 
 
 class Policy(nn.Module, ABC):
@@ -75,9 +80,17 @@ class Policy(nn.Module, ABC):
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers.
 
-        0 where the graph has no edge, so a receiver without edges has a row of zeros. Raises InputError if
-        no layer has attention.
+        0 where the graph has no edge, so a receiver without edges has a row of zeros. Raises NoAttentionError
+        if no layer has attention.
         """
+
+    def why_no_attention(self, observation: Tensor) -> str | None:
+        """(S, N, D) -> why `attention` has no answer; None if it has one."""
+        try:
+            self.attention(observation)
+        except NoAttentionError as error:
+            return str(error)
+        return None
 
     def adjacency(self, observation: Tensor) -> Tensor | None:
         """(S, N, D) -> (S, N, N) bool, [s, i, j] for the edge j -> i; None: the complete graph with loops."""

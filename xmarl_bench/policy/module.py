@@ -119,7 +119,7 @@ class ModulePolicy(Policy):
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers.
 
-        See xmarl_bench.policy.attention for how they are read. Raises InputError if no layer has attention.
+        See xmarl_bench.policy.attention for how they are read. Raises NoAttentionError if no layer has.
         """
         adjacency = self.adjacency(observation)
         n_steps, n_agents, _ = observation.shape

@@ -18,6 +18,7 @@ from torch.nn import functional as F
 
 from xmarl_bench.policy.architecture import raw_width
 from xmarl_bench.policy.distribution import action_distribution
+from xmarl_bench.policy.elsewhere import PolicyElsewhere
 from xmarl_bench.policy.interface import Policy
 from xmarl_bench.policy.network import GraphPolicy
 from xmarl_bench.reproducible import one_thread
@@ -35,6 +36,8 @@ def step_teams(policy: Policy) -> StepTeams:
     any other network for one team at a time. torch must have allocated the input tensors, because it aligns
     them.
     """
+    if isinstance(policy, PolicyElsewhere):
+        return policy.step_teams
     private = copy.deepcopy(policy).eval().requires_grad_(False)  # torch aligns the copy's memory
     if isinstance(private, GraphPolicy) and private.memory_dim == 0:
         return _AllAtOnce(private)

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import attention_entropy
 from xmarl_bench.metrics.statistics import over_units
 from xmarl_bench.metrics.table import GAINS
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.policy import Policy
+from xmarl_bench.policy.interface import NoAttentionError
 from xmarl_bench.reproducible import one_thread, torch_defaults
 from xmarl_bench.rollout.cell import BLOCK, Cell, Sampling, check_parallel
 from xmarl_bench.rollout.episodes import Episode, Rollout, mean_metrics
@@ -118,6 +118,6 @@ def _attention_entropy(policy: Policy, episodes: Sequence[Episode]) -> float | N
     with one_thread(), torch.inference_mode():
         try:
             attention = [policy.attention(torch.tensor(episode.observations)) for episode in episodes]
-        except InputError:
+        except NoAttentionError:
             return None
     return float(np.mean([attention_entropy(alpha.numpy()).mean() for alpha in attention]))

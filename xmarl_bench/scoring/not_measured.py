@@ -7,7 +7,6 @@ from math import isnan
 
 import torch
 
-from xmarl_bench.errors import InputError
 from xmarl_bench.explain.oracle import why_no_oracle
 from xmarl_bench.metrics.table import METRICS, Need
 from xmarl_bench.policy import GraphPolicy
@@ -53,10 +52,7 @@ def _reasons(request: Request, cell: Cell, episodes: Sequence[Episode]) -> Itera
     yield Need.COLLISIONS, _untold("no_agent_collision", AGENT_COLLISION, episodes)
     nothing = None if cell.make().has_objects else "the task has no walls"
     yield Need.WALLS, nothing or _untold("no_object_collision", OBJECT_COLLISION, episodes)
-    try:
-        policy.attention(torch.tensor(episodes[0].observations[:1]))
-    except InputError as error:
-        yield Need.ATTENTION, str(error)
+    yield Need.ATTENTION, policy.why_no_attention(torch.tensor(episodes[0].observations[:1]))
 
 
 def _untold(metric: str, keys: str, episodes: Sequence[Episode]) -> str | None:

@@ -23,6 +23,7 @@ from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.origin.code_hash import harness_sources, object_sha256, sources_sha256
 from xmarl_bench.origin.installed import package_version
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
+from xmarl_bench.policy.elsewhere import PolicyElsewhere
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.scoring.cache import VERSION_DIGITS
@@ -66,7 +67,8 @@ class Keys:
         record = task_record(cell)
         if record is None:
             return None
-        code = self._once(cell.source.factory, lambda: _code_key(cell.source.factory))
+        source = cell.source
+        code = self._once(source, lambda: source.code_sha256() or secrets.token_hex())
         return _sha256([record.model_dump(mode="json"), code])
 
     def _once(self, thing: object, key: Callable[[], str]) -> str:
@@ -77,6 +79,8 @@ class Keys:
 
 def _policy_key(policy: Policy, card: PolicyCard) -> str:
     code = _code_key(policy) if isinstance(card.architecture, CodeArchitecture) else None
+    if isinstance(policy, PolicyElsewhere):  # shares no key with one that runs in the harness's process
+        code = f"elsewhere {policy.key}"
     return _sha256([card.architecture.model_dump(mode="json"), card.weights_sha256, code])
 
 

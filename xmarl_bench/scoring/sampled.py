@@ -15,7 +15,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xmarl_bench.errors import InputError
 from xmarl_bench.explain.absence import DRAWS, Removal, stand_ins
 from xmarl_bench.explain.oracle import chunks
 from xmarl_bench.explain.sampled_oracle import (
@@ -31,6 +30,7 @@ from xmarl_bench.explain.sampled_oracle import (
 from xmarl_bench.metrics import budgeted_fidelity
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy, Policy
+from xmarl_bench.policy.interface import NoAttentionError
 from xmarl_bench.scoring.rankings import Floats, Ranked, Rankings
 
 Bools = NDArray[np.bool_]
@@ -190,5 +190,5 @@ class Sampled:
 def _attention(policy: Policy, observations: Tensor) -> Floats | None:
     try:
         return np.asarray(policy.attention(observations).numpy().astype(np.float64))
-    except InputError:
+    except NoAttentionError:
         return None

@@ -19,12 +19,15 @@ from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER
 from xmarl_bench.explain.explainer import Explainer, on_device
 from xmarl_bench.explain.simulated import SIMULATOR
-from xmarl_bench.isolation.explainers import Isolation, end_strangers
+from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import UNLIMITED
+from xmarl_bench.isolation.policies import is_code_here, isolate_policy
+from xmarl_bench.isolation.tasks import ask_task
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.plugins.registry import (
     ask_explainer,
+    ask_policy,
     checked_name,
     find_explainer,
     is_shipped_code,
@@ -99,30 +102,31 @@ def score(
         parallel_episodes: episodes stepped in parallel in a process.
         trust_code: run the code of policy and task, if they have their own.
         cache: folder of the cache, see `Cache`; by default nothing is kept.
-        isolate: run an explainer that is not shipped in a process of its own. False: in this process, for
-            debugging; then the entry says so and nothing is kept.
+        isolate: run an explainer that is not shipped, and a policy that is code, each in a process of its
+            own. False: in this process, for debugging; then the entry says so and nothing is kept.
         answer_seconds: wall-clock time in which such a process must answer for an episode.
 
     The caller's settings of torch (default dtype and device, autocast, inference mode) have no effect. Raises
     InputError if an argument is invalid or the explainer fails.
     """
-    where = None if task is None else open_task(task, trust_code=trust_code).name
-    if isinstance(policy, str | Path):
-        network, card = open_policy(str(policy), trust_code=trust_code)
-    elif isinstance(policy, PolicyModule):
-        network, card = policy.open(origin_of(policy.network))
-    else:
-        network, card = policy
-    isolation = Isolation(replace(UNLIMITED, answer_seconds=answer_seconds))
+    isolation = Isolation(replace(UNLIMITED, answer_seconds=answer_seconds)) if isolate else None
+
+    def task_name(task: str | Callable[..., Any]) -> str:
+        if isolation is None:
+            return open_task(task, trust_code=trust_code).name
+        return ask_task(task, isolation, trust_code=trust_code).name
+
+    where = None if task is None else task_name(task)
+    network, card = _opened(policy, isolation, trust_code=trust_code)
     if isinstance(explainer, str):
-        chosen = ask_explainer(explainer, isolation) if isolate else find_explainer(explainer)
+        chosen = find_explainer(explainer) if isolation is None else ask_explainer(explainer, isolation)
         chosen = on_device(chosen, device)
     else:
         chosen = checked_name(as_explainer(explainer))
         chosen = on_device(chosen, device)  # before it is sent to its process
-        chosen = isolated(chosen, isolation) if isolate else chosen
+        chosen = chosen if isolation is None else isolated(chosen, isolation)
     if where is None:
-        where = open_task(card.task, trust_code=trust_code).name
+        where = task_name(card.task)
     cell = Cell(where, card.n_agents if n_agents is None else n_agents)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
     request = Request(network, card, chosen, (cell,), sampling, behaviour_episodes)
@@ -138,6 +142,24 @@ def score(
         return next(entries_of(outcomes))
     finally:
         end_strangers()
+
+
+def _opened(
+    policy: str | Path | PolicyModule | tuple[Policy, PolicyCard],
+    isolation: Isolation | None,
+    *,
+    trust_code: bool,
+) -> tuple[Policy, PolicyCard]:
+    if isinstance(policy, str | Path):
+        if isolation is None:
+            return open_policy(str(policy), trust_code=trust_code)
+        return ask_policy(str(policy), isolation, trust_code=trust_code)
+    if isinstance(policy, PolicyModule):
+        if isolation is None:
+            return policy.open(origin_of(policy.network))
+    elif isolation is None or not is_code_here(*policy):
+        return policy
+    return isolate_policy(policy, isolation)
 
 
 def score_requests(
@@ -247,6 +269,7 @@ def _entry(
             attention_entropy=card.attention_entropy,
             training_seed=card.training_seed,
             trusted_code=isinstance(card.architecture, CodeArchitecture),
+            isolated=False if is_code_here(request.policy, card) else None,
         ),
         explainer=explainer_record(request.explainer, sampling.seed),
         protocol=Protocol(

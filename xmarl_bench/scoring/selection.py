@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.control_names import SUMMARIES as CONTROL_NAMES
+from xmarl_bench.isolation.conversation import Isolation
+from xmarl_bench.isolation.tasks import ask_task
 from xmarl_bench.origin.references import check_named, check_reference, is_reference
 from xmarl_bench.plugins.names import explainer_names, explainer_plugin, place_of, registered_policies
 from xmarl_bench.policy import PolicyCard, load_policy
@@ -60,9 +62,13 @@ def select_policies(
     teams: Sequence[int] = (),
     *,
     trust_code: bool = False,
+    limits: Limits | None = None,
 ) -> list[tuple[Policy, PolicyCard, tuple[Cell, ...]]]:
-    """The policies that `choose_policies` chooses, opened."""
-    return [each.open() for each in choose_policies(names, tasks, agents, teams, trust_code=trust_code)]
+    """The policies that `choose_policies` chooses, opened. Raises the first of its errors."""
+    chosen, failures = choose_policies(names, tasks, agents, teams, trust_code=trust_code, limits=limits)
+    if failures:
+        raise failures[0]
+    return [each.open() for each in chosen]
 
 
 def choose_policies(
@@ -72,20 +78,40 @@ def choose_policies(
     teams: Sequence[int] = (),
     *,
     trust_code: bool = False,
-) -> list[Chosen]:
-    """The policies to run, each with its cells. Runs only code of policies that have their own.
+    limits: Limits | None = None,
+) -> tuple[list[Chosen], list[InputError]]:
+    """The policies to run, each with its cells, and the errors of those whose code fails.
+
+    Runs only code of policies that have their own. limits: of its processes; None: it runs in this process.
 
     `all`: the policies trained for one of the given tasks and team sizes; those with their own code only with
     `trust_code`. `finished`: the same without checkpoints along training. The name of a family: the finished
     ones that belong to it. `default`: the best seed of each cell, of DEFAULT_FAMILY if the cell has one. A
     policy given by name, bundle or module:factory runs with every given team size, or its own for `all`.
 
-    teams: team sizes to run the chosen policies with, in place of those they were trained for.
+    teams: team sizes to run the chosen policies with, in place of those they were trained for. Raises
+    InputError if the code of every policy fails.
     """
+    failures = list[InputError]()
+
+    def code(name: str) -> dict[str, Installed]:
+        try:
+            return {name: _code(name, isolation)}
+        except InputError as error:
+            failures.append(error)
+            return {}
+
     sizes = _sizes(agents)
-    wanted_tasks = [open_task(task, trust_code=trust_code).name for task in tasks if task != ALL]
+    isolation = None if limits is None else Isolation(limits)
+
+    def opened(task: str) -> str:
+        if isolation is None:
+            return open_task(task, trust_code=trust_code).name
+        return ask_task(task, isolation, trust_code=trust_code).name
+
+    wanted_tasks = [opened(task) for task in tasks if task != ALL]
     any_task = ALL in tasks
-    meant = _meant(names, trust_code)
+    meant = _meant(names, code if trust_code else None)
     if meant is not None:
         chosen = {
             name: each
@@ -101,11 +127,16 @@ def choose_policies(
             )
         sizes = None
     else:
-        chosen = {name: _named(name, trust_code) for name in names}
+        chosen = {}
+        for name in names:
+            place = place_of(name, trust_code=trust_code)
+            chosen |= _bundled(name, place) if isinstance(place, Path) else code(name)
+    if failures and not chosen:
+        raise failures[0]
     selected: list[Chosen] = []
     for name, installed in chosen.items():
         card = installed.card
-        open_task(card.task, trust_code=trust_code)
+        opened(card.task)
         # Names of policies are unique in a run, because files of entries are named by them.
         if any(card.name == other.installed.card.name for other in selected):
             raise InputError(
@@ -117,11 +148,16 @@ def choose_policies(
         for cell in cells:
             check_fit(card, cell)
         selected.append(Chosen(installed, cells))
-    return selected
+    return selected, failures
 
 
-def _meant(names: Sequence[str], trust_code: bool) -> dict[str, Installed] | None:
-    """The policies meant by `all`, `finished`, `default` or a family, by name; None without such a word."""
+def _meant(
+    names: Sequence[str], code: Callable[[str], dict[str, Installed]] | None
+) -> dict[str, Installed] | None:
+    """The policies meant by `all`, `finished`, `default` or a family, by name; None without such a word.
+
+    code: opens policies that are code; None: leaves them out.
+    """
     installed, failures = registered_policies()
     if not set(names) - set(installed):
         return None
@@ -129,20 +165,18 @@ def _meant(names: Sequence[str], trust_code: bool) -> dict[str, Installed] | Non
     for name, place in installed.items():
         if isinstance(place, Path):
             try:
-                card = load_card(place)
+                found |= _bundled(name, place)
             except InputError as error:
                 failures.append(error)
-            else:
-                found[name] = Installed(card, partial(load_policy, place, card))
     words = {ALL, FINISHED, DEFAULT, *(each.card.family for each in found.values())} & set(names)
     if not words:
         return None
     if failures:  # the policy that failed may be meant
         raise failures[0]
-    if trust_code:
+    if code is not None:
         for name, place in installed.items():
             if not isinstance(place, Path):
-                found[name] = _code(name)
+                found |= code(name)
     if ALL in words:
         return found
     finished = {name: each for name, each in found.items() if not is_checkpoint(each.card)}
@@ -155,19 +189,19 @@ def _meant(names: Sequence[str], trust_code: bool) -> dict[str, Installed] | Non
     }
 
 
-def _named(name: str, trust_code: bool) -> Installed:
-    place = place_of(name, trust_code=trust_code)
-    if not isinstance(place, Path):
-        return _code(name)
+def _bundled(name: str, place: Path) -> dict[str, Installed]:
     card = load_card(place)
-    return Installed(card, partial(load_policy, place, card))
+    return {name: Installed(card, partial(load_policy, place, card))}
 
 
-def _code(name: str) -> Installed:
+def _code(name: str, isolation: Isolation | None) -> Installed:
     """A policy that is code, which makes its card as it runs."""
-    from xmarl_bench.plugins.registry import open_policy  # imports torch
+    from xmarl_bench.plugins.registry import ask_policy, open_policy  # imports torch
 
-    opened = open_policy(name, trust_code=True)
+    if isolation is None:
+        opened = open_policy(name, trust_code=True)
+    else:
+        opened = ask_policy(name, isolation, trust_code=True)
     return Installed(opened[1], lambda: opened)
 
 
@@ -195,8 +229,7 @@ def select_explainers(
     limits: of the processes of explainers that are not shipped; None: all run in this process. Raises
     InputError if none loads.
     """
-    from xmarl_bench.isolation.explainers import Isolation  # imports torch
-    from xmarl_bench.plugins.registry import ask_explainer, find_explainer
+    from xmarl_bench.plugins.registry import ask_explainer, find_explainer  # imports torch
 
     found: list[Explainer] = []
     failures: list[InputError] = []

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_bench.entry.schema import BudgetRow, ExplanationRow, PolicyRow
-from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import action_divergence
 from xmarl_bench.explain.oracle import oracle_kind
 from xmarl_bench.metrics import (
@@ -31,6 +30,7 @@ from xmarl_bench.metrics import (
 )
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import ActionDistribution, Policy, existing_edges
+from xmarl_bench.policy.interface import NoAttentionError
 from xmarl_bench.scoring.enumerated import Enumerated, Table
 from xmarl_bench.scoring.rankings import Rankings, number
 from xmarl_bench.scoring.sampled import Sampled
@@ -159,7 +159,7 @@ class States:
             attention = self.policy.attention(self.observations).numpy()
             values["attention_entropy"] = attention_entropy(attention).mean()
             values["attention_distance"] = attention_distance(attention, self.edges).mean()
-        except InputError:
+        except NoAttentionError:
             values["attention_entropy"] = values["attention_distance"] = math.nan
         return PolicyRow.model_validate({name: number(value) for name, value in values.items()})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from xmarl_bench.entry.schema import TaskRecord
+from xmarl_bench.isolation.tasks import AskedSource
 from xmarl_bench.rollout.cell import Cell
 
 
@@ -20,4 +21,5 @@ def task_record(cell: Cell) -> TaskRecord | None:
         environment=environment.entry_point,
         environment_distribution=environment.distribution,
         environment_version=environment.version,
+        isolated=None if isinstance(cell.source, AskedSource) else False,
     )

@@ -20,7 +20,7 @@ from xmarl_bench.entry.provenance import commit_of_harness, now
 from xmarl_bench.entry.schema import Entry, Verification
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.isolation.explainers import Isolation, end_strangers
+from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.isolation.walls import SIGNED, Wall, strongest
 from xmarl_bench.metrics.table import by_name

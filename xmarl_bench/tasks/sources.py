@@ -60,6 +60,12 @@ class TaskSource:
             return factory(n_agents=n_agents)
         return _tried_rules(self.name, factory, n_agents)
 
+    def code_sha256(self) -> str | None:
+        """Hash of the factory and its code; None if it has none."""
+        from xmarl_bench.origin.code_hash import object_sha256  # imports torch
+
+        return object_sha256(self.factory)
+
     @property
     def observation_names(self) -> tuple[str, ...]:
         """One per entry of an observation; () if unknown."""
@@ -103,6 +109,11 @@ def task_names() -> list[str]:
     return list(dict.fromkeys([*TASKS, *sorted(_plugins()), *_opened]))
 
 
+def opened_tasks() -> dict[str, TaskSource]:
+    """The tasks of others that this process has opened, by name."""
+    return dict(_opened)
+
+
 def task_plugins() -> dict[str, EntryPoint]:
     """The tasks of installed packages by name. Loads nothing."""
     return dict(sorted(_plugins().items()))
@@ -114,7 +125,7 @@ def open_task(task: str | Callable[..., Any], *, trust_code: bool = False) -> Ta
     Raises InputError if there is no such task, and for code that is not trusted.
     """
     if not isinstance(task, str):
-        return _open(task, origin_of(task), None)
+        return open_factory(task, origin_of(task), None)
     if task in TASKS:
         return TaskSource(task, TASKS[task], None)
     if not is_reference(task):
@@ -122,10 +133,10 @@ def open_task(task: str | Callable[..., Any], *, trust_code: bool = False) -> Ta
         plugin = _plugins().get(task)
         if plugin is None:
             return known_task(task)
-        _check_trust(task, trust_code)
-        return _open(load_plugin(plugin), origin_of_plugin(plugin), task)
-    _check_trust(task, trust_code)
-    return _open(*load_reference(task), None)
+        check_trust(task, trust_code)
+        return open_factory(load_plugin(plugin), origin_of_plugin(plugin), task)
+    check_trust(task, trust_code)
+    return open_factory(*load_reference(task), None)
 
 
 def known_task(name: str) -> TaskSource:
@@ -135,11 +146,11 @@ def known_task(name: str) -> TaskSource:
     if name in _opened:
         return _opened[name]
     if name in _plugins():
-        _check_trust(name, False)
+        check_trust(name, False)
     raise unknown("task", name, task_names(), "or give path/to/file.py:factory or module:factory")
 
 
-def _open(factory: object, origin: Origin, name: str | None) -> TaskSource:
+def open_factory(factory: object, origin: Origin, name: str | None) -> TaskSource:
     """Register a factory. name: of its entry point, if it has one. Raises InputError for anything else."""
     own = _task_class(factory)
     chosen = str(own.name if own else name or getattr(factory, "__name__", type(factory).__name__))
@@ -158,12 +169,18 @@ def _open(factory: object, origin: Origin, name: str | None) -> TaskSource:
         raise InputError(f"task {chosen!r} ({origin.entry_point}) has the name of a shipped task: rename it.")
     source = TaskSource(chosen, factory, origin)
     if chosen not in TASKS:
-        _opened[chosen] = source
+        register(source)
         return source
     return TaskSource(chosen, factory, None)
 
 
-def _check_trust(name: str, trust_code: bool) -> None:
+def register(source: TaskSource) -> None:
+    """From now on, this process knows the task by its name."""
+    _opened[source.name] = source
+
+
+def check_trust(name: str, trust_code: bool) -> None:
+    """Raise InputError unless the code of the task is trusted."""
     if not trust_code:
         raise InputError(
             f"task {name!r} runs its own code: read it, and add --trust-code (trust_code=True) if you trust "

@@ -19,7 +19,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import fit_explainer, run_explainer
 from xmarl_bench.explain.sanity import mask_of_shuffled_weights
 from xmarl_bench.isolation import landlock, process
-from xmarl_bench.isolation.explainers import Isolation, end_strangers
+from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.isolation.walls import Wall, strongest
 from xmarl_bench.plugins.registry import ask_explainer, find_explainer

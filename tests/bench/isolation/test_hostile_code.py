@@ -19,7 +19,7 @@ from xmarl_bench.entry.file import read_entries
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.isolation.explainers import end_strangers
+from xmarl_bench.isolation.conversation import end_strangers
 from xmarl_bench.plugins.names import POLICIES, registered_policies
 from xmarl_bench.plugins.registry import ask_explainer, isolated
 from xmarl_bench.policy import Policy

@@ -26,7 +26,7 @@ from xmarl_bench.policy import load_policy, save_policy, untrusted
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 
 RAN: list[str] = []  # traces of payloads that ran
-MUTATIONS = 500
+MUTATIONS = int(os.environ.get("XMARL_BENCH_MUTATIONS", "500"))
 
 
 def fire() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import time
 from collections.abc import Iterator, Mapping
@@ -23,7 +24,8 @@ from xmarl_bench.submission.packing import write_bundle
 pytestmark = pytest.mark.slow
 
 SECONDS = 2.0  # of CPU time
-ENTRIES, BUNDLES = 250, 60
+# XMARL_BENCH_MUTATIONS=2000 tries so many of each.
+ENTRIES, BUNDLES = (int(os.environ.get("XMARL_BENCH_MUTATIONS", few)) for few in (250, 60))
 VALUES: list[Any] = [
     None, True, -1, 0, 10**18, 10**30, 1.5, -0.1, 1e300, "", "x", "9" * 5000, "\ud800", "\x1b[2J",
     "../../etc/passwd", [], [1], {}, {"a": 1}, [[[[[[]]]]]], ["a"] * 10_000,

@@ -88,8 +88,12 @@ docs: $(STAMP)  ## Build the documentation site into site/
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt 'mkdocs<2' mkdocs-material
 	$(BIN)/python docs/make_site.py
 
-bench: $(STAMP)  ## Measure tasks, explainers and trainer beside those of others
-	$(BIN)/python -m pytest --benchmark-only tests/benchmarks
+BENCH := .benchmarks/latest.json
+
+bench: $(STAMP)  ## Measure tasks, explainers and trainer beside those of others, for docs/performance.md
+	mkdir -p $(dir $(BENCH))
+	$(BIN)/python -m pytest --benchmark-only --benchmark-json=$(BENCH) tests/benchmarks; measured=$$?; \
+	$(BIN)/python docs/make_performance.py $(BENCH) && exit $$measured
 
 wheel-test: $(STAMP)  ## Build the wheel and try it outside the repository
 	PYTHON=$(BIN)/python bash tests/wheel_test.sh

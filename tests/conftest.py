@@ -85,7 +85,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     for item in items:
         for folder, mark in MARKED.items():
-            if item.path.is_relative_to(TESTS / folder):
+            # A second marker would hide the arguments of a module's own, as the timer of benchmarks.
+            if item.path.is_relative_to(TESTS / folder) and item.get_closest_marker(mark) is None:
                 item.add_marker(mark)
     slow = {item.path for item in items if any(map(item.get_closest_marker, {"slow", *MARKED.values()}))}
     items.sort(key=lambda item: (item.path != KILLS_WORKERS, item.path not in slow))

@@ -1,13 +1,16 @@
-"""Speed of episodes compared with VMAS and MPE2: `make bench`, the table at its end.
+"""Speed of episodes compared with VMAS, MPE2 and JaxMARL: `make bench`.
 
 Each steps three agents for 400 cycles with observations, rewards and endings, and resets what has ended; no
 episode is longer than 400 cycles. Actions are random, drawn beforehand, and held for 10 cycles, so that
 agents move about; ours and VMAS take the same ones. Torch gets one thread; ours is single-threaded.
 
 VMAS runs its own navigation with contacts, without the lidar, which blind agents do not have. It does not
-reset by
-itself: we call `reset()`, its fastest way, if all of a batch have ended (nearly all do after 400 cycles), and
-`reset_at` otherwise. MPE2's simple_spread is another task, also of three agents that may touch.
+reset by itself: we call `reset()`, its fastest way, if all of a batch have ended (nearly all do after 400
+cycles), and `reset_at` otherwise. MPE2's simple_spread is another task, also of three agents that may touch.
+
+JaxMARL runs its simple_spread with continuous actions, compiled, on one thread. `loop` calls a compiled step
+for each cycle, as a policy outside of JAX needs it. `scan` compiles all 400 cycles into one call: only a
+policy written in JAX can take part in it. It needs a Python with `jaxmarl`, named by XMARL_BENCH_JAXMARL.
 """
 
 from __future__ import annotations
@@ -28,7 +31,8 @@ from xmarl_envs.gymnasium_vector_env import TeamVectorEnv
 from xmarl_envs.world import TIME_STEP, World
 
 from tests.benchmarks.conftest import Report
-from tests.benchmarks.side_by_side import Run, side_by_side
+from tests.benchmarks.jaxmarl_process import JaxMarl
+from tests.benchmarks.side_by_side import Run, clocked, side_by_side
 from tests.envs.vmas_twin import VmasTwin
 
 pytestmark = pytest.mark.benchmark(timer=time.process_time)
@@ -36,6 +40,7 @@ pytestmark = pytest.mark.benchmark(timer=time.process_time)
 TASK = BlindNavigation(3)
 CYCLES, HELD = 400, 10
 SHARED = 64  # copies_per_space, as in training
+ONE = "one episode, ParallelEnv"
 Actions = NDArray[np.float32]
 
 
@@ -44,6 +49,10 @@ def random_actions(n_episodes: int) -> Actions:
     rng = np.random.default_rng(0)
     drawn = rng.uniform(-1, 1, (CYCLES // HELD, n_episodes, TASK.n_agents, 2))
     return np.repeat(drawn.astype(np.float32), HELD, axis=0)
+
+
+def batch(n_episodes: int) -> str:
+    return f"{n_episodes} episodes, shared Spaces"
 
 
 def our_episode() -> Run:
@@ -123,24 +132,38 @@ def test_one_episode(
     benchmark: BenchmarkFixture, report: Report, peer: str, theirs: Callable[[], Run], bar: float
 ) -> None:
     benchmark.group = "ParallelEnv, one episode"
-    what = f"ParallelEnv / {peer}"
-    side_by_side(benchmark, report, what, our_episode(), theirs(), n_steps=CYCLES, bar=bar, rounds=11)
+    side_by_side(
+        benchmark, report, ONE, peer, our_episode(), clocked(theirs()), pieces=CYCLES, bar=bar, rounds=11
+    )
 
 
 @pytest.mark.parametrize(("n_episodes", "bar"), [(64, 5.0), (1024, 1.5)])
 def test_a_batch(benchmark: BenchmarkFixture, report: Report, n_episodes: int, bar: float) -> None:
     benchmark.group = f"{n_episodes} episodes"
     ours, theirs = our_batch(n_episodes, SHARED), vmas_batch(n_episodes)
-    what = f"{n_episodes} episodes, shared Spaces / VMAS"
-    side_by_side(benchmark, report, what, ours, theirs, n_steps=CYCLES * n_episodes, bar=bar)
+    pieces = CYCLES * n_episodes
+    side_by_side(benchmark, report, batch(n_episodes), "VMAS", ours, clocked(theirs), pieces=pieces, bar=bar)
 
 
 def test_a_batch_as_scored(benchmark: BenchmarkFixture, report: Report) -> None:
     """One Space per episode; without a bar."""
     benchmark.group = "64 episodes"
     ours, theirs = our_batch(64, copies_per_space=1), vmas_batch(64)
-    what = "64 episodes, a Space each (scoring) / VMAS"
-    side_by_side(benchmark, report, what, ours, theirs, n_steps=CYCLES * 64, bar=None, rounds=3)
+    what = "64 episodes, a Space each (scoring)"
+    side_by_side(benchmark, report, what, "VMAS", ours, clocked(theirs), pieces=CYCLES * 64, rounds=3)
+
+
+@pytest.mark.parametrize("way", ["scan", "loop"])
+@pytest.mark.parametrize("n_episodes", [1, 64, 1024])
+def test_beside_jaxmarl(benchmark: BenchmarkFixture, report: Report, n_episodes: int, way: str) -> None:
+    benchmark.group = f"{n_episodes} episodes"
+    ours = our_episode() if n_episodes == 1 else our_batch(n_episodes, SHARED)
+    what = ONE if n_episodes == 1 else batch(n_episodes)
+    with JaxMarl(n_episodes, way, CYCLES, HELD) as peer:
+        side_by_side(
+            benchmark, report, what, f"JaxMARL simple_spread, {way}", ours, peer.seconds,
+            pieces=CYCLES * n_episodes, remark=f"compiled in {peer.compiled:.1f} s, not counted",
+        )  # fmt: skip
 
 
 def our_physics(n_episodes: int) -> Run:
@@ -188,5 +211,5 @@ def test_physics_alone(
     """
     benchmark.group = "physics of 64 episodes"
     ours, theirs = our_physics(64), bare_space(64, moves_per_step)
-    what = f"World.step, 64 episodes / bare Space.step, {moves_per_step} a step"
-    side_by_side(benchmark, report, what, ours, theirs, n_steps=CYCLES * 64, bar=bar)
+    what, peer = "World.step, 64 episodes", f"pymunk, bare Space.step, {moves_per_step} a step"
+    side_by_side(benchmark, report, what, peer, ours, clocked(theirs), pieces=CYCLES * 64, bar=bar)

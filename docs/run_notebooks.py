@@ -6,16 +6,20 @@ import os
 from pathlib import Path
 
 import nbformat
+from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 
 NOTEBOOKS = Path(__file__).parent / "notebooks"
 
 
-def run(path: Path) -> nbformat.NotebookNode:
-    """Run a notebook in its folder; returns it with outputs. Raises CellExecutionError if a cell fails."""
+def run(path: Path, kernel: KernelManager | None = None) -> nbformat.NotebookNode:
+    """Run a notebook in that running kernel, or a new one; returns it with outputs.
+
+    Without a kernel it runs in its folder. Raises CellExecutionError if a cell fails.
+    """
     notebook: nbformat.NotebookNode = nbformat.read(path, as_version=4)
     client = NotebookClient(
-        notebook, timeout=600, kernel_name="python3", record_timing=False,
+        notebook, km=kernel, timeout=600, kernel_name="python3", record_timing=False,
         resources={"metadata": {"path": str(path.parent)}},
     )  # fmt: skip
     os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -69,7 +69,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "GradientShap": {"baselines": torch.zeros(1, N)},
     "KernelShap": {"n_samples": 150},
     "Occlusion": {"sliding_window_shapes": (1,)},
-    "ShapleyValueSampling": {"n_samples": 300},
+    "ShapleyValueSampling": {"n_samples": 100},
 }
 OF_CAPTUM = {
     name: lambda value, name=name: getattr(library("captum.attr"), name)(value).attribute(

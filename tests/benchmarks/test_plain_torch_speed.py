@@ -8,6 +8,7 @@ need no gradient, and their masks equal ours. 1024 states of shipped policies.
 from __future__ import annotations
 
 import copy
+import math
 import time
 from collections.abc import Callable
 
@@ -16,8 +17,10 @@ import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 from torch import Tensor
 from torch.func import grad, vmap
+from torch.nn import functional as F
 from xmarl_baselines.explainers.batching import timestep_seeds
 from xmarl_baselines.explainers.gnn_explainer import gnn_explainer_mask, random_logits
+from xmarl_baselines.explainers.graphmask import graphmask_mask, uniform_noise
 
 from tests.baselines.reference import shipped_name, trained
 from tests.benchmarks.conftest import Report
@@ -88,5 +91,61 @@ def test_gnn_explainer(
     what = f"GNNExplainer, N = {n_agents}, {policy_name}"
     side_by_side(
         benchmark, report, what, peer, ours, clocked(lambda: theirs(plain, observations, start)),
+        pieces=N_STEPS, unit="us", rounds=5,
+    )  # fmt: skip
+
+
+def graphmask_by_autograd(policy: GraphPolicy, observations: Tensor, noise: Tensor) -> Tensor:
+    def hard(s: Tensor) -> Tensor:
+        soft = (1.2 * s - 0.2).clamp(0, 1)
+        return (soft > 0.5).float() + (soft - soft.detach())
+
+    def change(mask: Tensor) -> Tensor:
+        return (policy.decode(prepared, mask).action - target).square().sum((1, 2))
+
+    with torch.no_grad():
+        prepared = policy.prepare(observations)
+        target = policy.decode(prepared).action
+    w, kept = torch.zeros_like(noise[0]).requires_grad_(), torch.ones_like(noise[0])
+    multiplier = torch.full_like(noise[0, :, 0, 0], 0.55).requires_grad_()
+    largest = change(torch.zeros_like(kept)).clamp_min(1e-30)
+    gates = torch.optim.Adam([w], lr=0.1)
+    ascent = torch.optim.RMSprop([multiplier], lr=0.1, centered=True, maximize=True)
+    for step, u in enumerate(noise, start=1):
+        z = hard(torch.sigmoid((torch.logit(u) + w + 3) * 3))
+        is_open = torch.sigmoid(w + 3 - math.log(0.2) / 3).mean((1, 2))
+        loss = is_open + F.softplus(multiplier) * F.relu(change(z) / largest - 0.01)
+        gates.zero_grad()
+        ascent.zero_grad()
+        loss.sum().backward()
+        gates.step()
+        ascent.step()
+        with torch.no_grad():
+            multiplier.clamp_(-2, 30)
+            if step % 5 == 0:
+                mask = hard(torch.sigmoid(w + 3))
+                better = (mask.sum((1, 2)) < kept.sum((1, 2))) & (change(mask) / largest <= 0.01)
+                kept = torch.where(better[:, None, None], mask, kept)
+    return kept
+
+
+@pytest.mark.parametrize("policy_name", POLICIES)
+@pytest.mark.parametrize("n_agents", [3, 8])
+def test_graphmask(benchmark: BenchmarkFixture, report: Report, n_agents: int, policy_name: str) -> None:
+    policy, few = trained(POLICIES[policy_name], 64, n_agents)
+    observations = few.repeat(N_STEPS // 64, 1, 1)
+    plain = copy.deepcopy(policy).requires_grad_(False)
+    noise = uniform_noise(60, n_agents, timestep_seeds(N_STEPS, torch.Generator().manual_seed(0)))
+
+    def ours() -> Tensor:
+        return graphmask_mask(policy, observations, torch.Generator().manual_seed(0))
+
+    def theirs() -> Tensor:
+        return graphmask_by_autograd(plain, observations, noise)
+
+    assert (ours() == theirs()).float().mean() > 0.99  # a gate at its threshold may fall to either side
+    what = f"GraphMask, N = {n_agents}, {policy_name}"
+    side_by_side(
+        benchmark, report, what, "batched autograd", ours, clocked(theirs),
         pieces=N_STEPS, unit="us", rounds=5,
     )  # fmt: skip

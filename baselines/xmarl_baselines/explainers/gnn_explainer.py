@@ -28,6 +28,7 @@ import torch
 from torch import Tensor
 
 from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
+from xmarl_baselines.explainers.closed_form import actions_of
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
@@ -62,13 +63,13 @@ def optimise_mask(
     with torch.no_grad():
         prepared = policy.prepare(observations)
         target = policy.decode(prepared).action
-    w = logits.clone()
+    actions, w = actions_of(policy, prepared), logits.clone()
     optimizer = torch.optim.Adam([w], lr=settings.lr, fused=True)
     for epoch in range(settings.epochs):
-        m = w.sigmoid().requires_grad_()
-        error = (policy.decode(prepared, m).action - target).square().mean(dim=(-2, -1))
-        (gradient,) = torch.autograd.grad(error.sum(), [m])
-        slope = m.detach() * (1 - m.detach())  # dm / dw
+        m = w.sigmoid()
+        difference = actions.of(m) - target
+        gradient = actions.gradient(2 * difference * (1 / target[0].numel()))  # of the mean of squares
+        slope = m * (1 - m)  # dm / dw
         if epoch == 0:
             counted = (gradient * slope != 0).to(w.dtype)  # H
             entropy_weight = settings.edge_ent / counted.sum(dim=(-2, -1), keepdim=True).clamp_min(1)

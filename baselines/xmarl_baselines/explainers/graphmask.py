@@ -41,6 +41,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
+from xmarl_baselines.explainers.closed_form import actions_of
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
@@ -84,43 +85,52 @@ def optimise_gates(
     Leaves `policy` unchanged. Its parameters should not require gradients, which would be computed in vain.
     """
 
-    def change(mask: Tensor) -> Tensor:
-        """(S, N, N) -> (S,): ||F(1) - F(mask)||^2."""
-        return (policy.decode(prepared, mask).action - target).square().sum(dim=(-2, -1))
+    def change(mask: Tensor) -> tuple[Tensor, Tensor]:
+        """(S, N, N) -> F(mask) - F(1), and its squares' sum (S,)."""
+        difference = actions.of(mask) - target
+        return difference, difference.square().sum(dim=(-2, -1))
 
     with torch.no_grad():
         prepared = policy.prepare(observations)
         target = policy.decode(prepared).action
-        # If removing everything changes nothing, D is 0 and every gate closes.
-        largest = change(torch.zeros_like(noise[0])).clamp_min(torch.finfo(noise.dtype).tiny)
-    w = torch.zeros_like(noise[0], requires_grad=True)
-    multiplier = torch.full_like(largest, settings.init_lambda, requires_grad=True)
+    actions = actions_of(policy, prepared)
+    # If removing everything changes nothing, D is 0 and every gate closes.
+    largest = change(torch.zeros_like(noise[0]))[1].clamp_min(torch.finfo(noise.dtype).tiny)
+    w, kept = torch.zeros_like(noise[0]), torch.ones_like(noise[0])
+    multiplier = torch.full_like(largest, settings.init_lambda)
     gates = torch.optim.Adam([w], lr=settings.lr, fused=True)
     ascent = torch.optim.RMSprop([multiplier], lr=settings.lambda_lr, centered=True, maximize=True)
-    kept = torch.ones_like(noise[0])
-    for step, u in enumerate(noise, start=1):
+    for step, drawn in enumerate(torch.logit(noise), start=1):
         a = w + settings.location
-        z = _hard(torch.sigmoid((torch.logit(u) + a) / BETA))
-        is_open = torch.sigmoid(a - BETA * math.log(-GAMMA / ZETA)).mean(dim=(-2, -1))
-        violation = torch.relu(change(z) / largest - settings.allowance)
-        loss = settings.scaling * is_open + F.softplus(multiplier) * violation
-        w.grad, multiplier.grad = torch.autograd.grad(loss.sum(), [w, multiplier])
+        s = torch.sigmoid((drawn + a) / BETA)
+        is_open = torch.sigmoid(a - BETA * math.log(-GAMMA / ZETA))
+        difference, changed = change(_hard(s))
+        violation = torch.relu(changed / largest - settings.allowance)
+        weight = F.softplus(multiplier) * (violation > 0) / largest
+        by_gate = actions.gradient(weight[:, None, None] * (2 * difference)) * _slope_of_soft(s)
+        by_share = settings.scaling / w[0].numel() * (1 - is_open) * is_open
+        w.grad = by_gate * (1 - s) * s / BETA + by_share
+        multiplier.grad = violation * multiplier.sigmoid()
         gates.step()
         ascent.step()
-        with torch.no_grad():
-            multiplier.clamp_(MIN_LAMBDA, MAX_LAMBDA)
-            if step % settings.read_every == 0:
-                mask = _hard(torch.sigmoid(w + settings.location))
-                fewer = mask.sum(dim=(-2, -1)) < kept.sum(dim=(-2, -1))
-                better = fewer & (change(mask) / largest <= settings.allowance)
-                kept = torch.where(better[:, None, None], mask, kept)
+        multiplier.clamp_(MIN_LAMBDA, MAX_LAMBDA)
+        if step % settings.read_every == 0:
+            mask = _hard(torch.sigmoid(w + settings.location))
+            fewer = mask.sum(dim=(-2, -1)) < kept.sum(dim=(-2, -1))
+            better = fewer & (change(mask)[1] / largest <= settings.allowance)
+            kept = torch.where(better[:, None, None], mask, kept)
     return kept
 
 
 def _hard(s: Tensor) -> Tensor:
-    """Gates in (0, 1) -> 0 or 1, with the gradient of the stretched gate clipped to [0, 1]."""
-    soft = (s * (ZETA - GAMMA) + GAMMA).clamp(0, 1)
-    return (soft > THRESHOLD).to(s.dtype) + (soft - soft.detach())
+    """Gates in (0, 1) -> 0 or 1."""
+    return (s * (ZETA - GAMMA) + GAMMA > THRESHOLD).to(s.dtype)
+
+
+def _slope_of_soft(s: Tensor) -> Tensor:
+    """The derivative of clip(s (zeta - gamma) + gamma, 0, 1), which stands in for that of `_hard`."""
+    soft = s * (ZETA - GAMMA) + GAMMA
+    return ((soft >= 0) & (soft <= 1)) * (ZETA - GAMMA)
 
 
 def graphmask_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import os
 import re
 from collections.abc import Callable, Iterator
@@ -283,6 +284,31 @@ def test_choices_that_would_end_the_physics_are_refused() -> None:
     x = torch.full((1, 3, 6), 7.0)
     with pytest.raises(InputError, match="policy lost chose actions that are NaN or infinite"):
         step_teams(policy)(x, None)
+
+
+WIDE = torch.arange(60.0).view(5, 3, 4)
+
+
+@pytest.mark.parametrize(
+    "tensor",
+    [
+        WIDE, WIDE[1:], WIDE[:, :, 1:3], WIDE[:1].expand(7, 3, 4), WIDE.transpose(0, 2), WIDE[:, :0],
+        WIDE[0, 0, 1],
+    ],
+)  # fmt: skip
+def test_tensors_arrive_with_their_strides_and_alignment(tensor: Tensor) -> None:
+    sent = Sent.of(tensor)
+    layout = json.loads(json.dumps(sent.layout))
+    for again in (sent.tensor(), Sent.parse(layout, tuple(tensor.shape), sent.data + b"more").tensor()):
+        assert torch.equal(again, tensor)
+        assert again.stride() == tensor.stride()
+        assert not tensor.numel() or again.data_ptr() % 64 == tensor.data_ptr() % 64
+
+
+def test_an_axis_of_equal_entries_is_sent_once_and_numbers_that_overlap_are_sent_apart() -> None:
+    assert len(Sent.of(WIDE[:1].expand(7, 3, 4)).data) == 4 * 12
+    overlapping = torch.arange(6.0).as_strided((3, 3), (1, 1))
+    assert torch.equal(Sent.of(overlapping).tensor(), overlapping)
 
 
 @pytest.mark.parametrize(

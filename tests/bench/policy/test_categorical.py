@@ -216,6 +216,7 @@ class FourWide(Pilot):
         return super().forward(x, edge_index)[:, 1:]
 
 
+@pytest.mark.slow
 def test_code_with_another_width_is_refused() -> None:
     module = PolicyModule("four", FourWide(), "blind_navigation_v0", 3, distribution="categorical")
     with pytest.raises(InputError, match=r"return \(3, 5\), a logit for each of 5 actions"):

@@ -168,6 +168,7 @@ def test_a_bundle_does_not_need_trust(make_bundle: MakeBundle) -> None:
     assert not policy.training
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["check policy", "score --explainer self --policy"])
 def test_a_network_that_masks_cannot_reach_is_refused_before_anything_runs(
     command: str, run_cli: RunCli, tmp_path: Path

@@ -91,13 +91,13 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
 def _score_row(row: dict[str, Any]) -> Row:
     order, *others = SCORE_COLUMNS
     metrics = row["metrics"]
-    by = metrics[ORDER["by"]]
+    by = metrics.get(ORDER["by"])
     interval = None if by is None else by["interval"]
     return {
         "explainer": row["explainer"] + (" (control)" if row["control"] else ""),
-        order: _number(metrics[SCORE_COLUMNS[order]]),
+        order: _number(metrics.get(SCORE_COLUMNS[order])),
         "95 %": None if interval is None else "{:.2f} {:.2f}".format(*interval),
-        **{heading: _number(metrics[SCORE_COLUMNS[heading]]) for heading in others},
+        **{heading: _number(metrics.get(SCORE_COLUMNS[heading])) for heading in others},
     }
 
 
@@ -105,4 +105,5 @@ def _number(summary: dict[str, Any] | None) -> str:
     if summary is None:
         return "-"
     text = "NaN" if summary["value"] is None else f"{summary['value']:.3f}"
-    return text + (f" ({summary['n_nan']} NaN)" if summary["n_nan"] and summary["value"] is not None else "")
+    n_nan = summary.get("n_nan", 0)
+    return text + (f" ({n_nan} NaN)" if n_nan and summary["value"] is not None else "")

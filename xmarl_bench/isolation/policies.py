@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import cloudpickle
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from torch import nn
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.asked import AskedPolicy
@@ -15,6 +16,7 @@ from xmarl_bench.isolation.tasks import ask_pickled, ask_task
 from xmarl_bench.origin.references import Origin, origin_of
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy.policy_module import PolicyModule
+from xmarl_bench.policy.tensors import check_tensors
 from xmarl_bench.records.field_types import Text
 from xmarl_bench.records.strict_json import first_error, shown
 from xmarl_bench.tasks.sources import task_names
@@ -44,7 +46,12 @@ def isolate_policy(
     policy: PolicyModule | tuple[Policy, PolicyCard], isolation: Isolation
 ) -> tuple[AskedPolicy, PolicyCard]:
     """A policy made in Python: it is sent to its process by value. Raises InputError if it cannot be."""
-    name = policy.name if isinstance(policy, PolicyModule) else policy[1].name
+    if isinstance(policy, PolicyModule):
+        name, network = policy.name, policy.network
+    else:
+        name, network = policy[1].name, policy[0]
+    if isinstance(network, nn.Module):  # else its process says what it is
+        check_tensors(network, name)
     try:
         pickled = bytes(cloudpickle.dumps(policy))
     except Exception as error:

@@ -40,9 +40,11 @@ function enhance(table) {
   const said = element("span", { role: "status" });
   const more = element("button", { type: "button", hidden: "", click: () => { state.all = true; limit(); } });
 
+  /** Shows the first rows, and the others a frame later if the reader asked for all: what is best is seen at once. */
   function limit() {
     const rows = [...table.tBodies].filter((body) => !body.dataset.group).flatMap((body) => [...body.rows]);
-    rows.forEach((row, k) => { row.hidden = !state.all && k >= SHOWN; });
+    rows.forEach((row, k) => { row.hidden = k >= SHOWN; });
+    if (state.all) requestAnimationFrame(() => setTimeout(() => rows.forEach((row) => { row.hidden = false; })));
     more.hidden = state.all || rows.length <= SHOWN;
     more.textContent = `Show all ${rows.length} rows`;
   }

@@ -326,6 +326,7 @@ def test_many_rows_are_sorted_in_a_few_layouts(board: Path, browse: Browse) -> N
     before = layouts()
     assert page.evaluate(SORTED) == 2000
     assert layouts() - before < 20
+    expect(shown).to_have_count(2000)
     assert values(column(page, "#many", 1))[:3] == [1999.0, 1998.0, 1997.0]
 
 

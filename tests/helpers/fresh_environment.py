@@ -28,11 +28,10 @@ class Environment:
     def python(self) -> Path:
         return self.folder / "bin" / "python"
 
-    def install(self, *packages: Path, target: Path | None = None) -> None:
-        """Build and install without network, into `target` if given."""
+    def install(self, *packages: Path) -> None:
+        """Build and install without network."""
         pip = (sys.executable, "-m", "pip", "--python", str(self.python), "install", "--quiet")
         options = ("--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check")
-        where = () if target is None else ("--target", str(target))
-        command = [*pip, *options, *where, *map(str, packages)]
+        command = [*pip, *options, *map(str, packages)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=900)
         assert done.returncode == 0, done.stderr

@@ -26,7 +26,6 @@ from xmarl_bench.scoring.score import score_requests  # noqa: F401
 class Request(TypedDict, total=False):
     command: list[str]  # "xmarl-bench" or "pytest", and its arguments
     folder: str  # where it runs
-    site: str  # packages beside those that are installed
     touched: str  # count accesses to files in this folder, by the main process
     victim: str  # "main" or "worker": which process to kill
     kill_at: int  # before this access, counted from 0
@@ -45,7 +44,6 @@ def child(request: Request, out: IO[bytes], err: IO[bytes], log: IO[bytes]) -> N
     os.dup2(out.fileno(), 1)
     os.dup2(err.fileno(), 2)
     os.chdir(request.get("folder", "."))
-    sys.path[:0] = [request["site"]] if "site" in request else []
     sys.argv = request["command"]
     if "touched" in request:
         watch(request, log)

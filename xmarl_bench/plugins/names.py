@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
@@ -166,6 +167,11 @@ def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
         return {
             name: place if isinstance(place, Path) else PolicyCode(plugin) for name, place in places.items()
         }
+    return _places_elsewhere(plugin)
+
+
+@cache  # a package does not change while it is imported, and a process takes up to five seconds
+def _places_elsewhere(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
     with Stranger(f"plugin {plugin.name} ({plugin.value})", UNLIMITED, "process") as process:
         plain = plugin.name, plugin.value, plugin.group
         listed, _ = process.ask({"what": "policies", "plugin": plain})

@@ -20,6 +20,7 @@ from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.isolation.conversation import end_strangers
+from xmarl_bench.plugins import names
 from xmarl_bench.plugins.names import POLICIES, registered_policies
 from xmarl_bench.plugins.registry import ask_explainer, isolated
 from xmarl_bench.policy import Policy
@@ -212,6 +213,9 @@ def test_packages_of_others_are_not_imported_here(tmp_path: Path, monkeypatch: p
     assert failures == []
     assert found["foreign"] == tmp_path / "bundle"
     assert str(found["made"]) == "strange_package:policies"
+    with monkeypatch.context() as patch:
+        patch.setattr(names, "Stranger", lambda *_: pytest.fail("a package is asked once"))
+        assert registered_policies() == (found, failures)
     explainer = ask_explainer("foreign")
     assert explainer.origin is not None
     assert (explainer.origin.distribution, explainer.origin.version) == ("strange-package", "0.3")

@@ -22,8 +22,10 @@ def test_files_are_complete_and_valid(kind: str, run_cli: RunCli, tmp_path: Path
     ran = run_cli("new", kind, "brand-new.one", "--out", folder)
     assert ran.code == 0, ran.err
     written = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    modules = ["__init__.py", "network.py"] if kind == "policy" else ["__init__.py"]
     assert written == [
-        "README.md", "pyproject.toml", "src/brand_new_one/__init__.py", "tests/test_brand_new_one.py",
+        "README.md", "pyproject.toml", *(f"src/brand_new_one/{module}" for module in modules),
+        "tests/test_brand_new_one.py",
     ]  # fmt: skip
     assert len(written) == len(list((TEMPLATES / kind).rglob("*.jinja")))
     for path in written:

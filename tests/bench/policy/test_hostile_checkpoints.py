@@ -94,7 +94,13 @@ def refusal(path: Path) -> str | None:
     return None
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in ("shared dicts", "wide") else name
+        for name in REFUSED
+    ],
+)
 def test_what_would_take_memory_time_or_run_code_is_refused(name: str, tmp_path: Path) -> None:
     path = tmp_path / "model.pt"
     path.write_bytes(REFUSED[name])

@@ -52,11 +52,10 @@ class BlindNavigation(Task):
         return np.concatenate([state.position, state.velocity, state.position - state.targets], axis=-1)
 
     def judge(self, before: Floats, state: State, contacts: Floats) -> Outcome:
-        to_goal = distance(state.position, state.targets)
-        gained = distance(before, state.targets) - to_goal
+        earlier, to_goal = distance(np.array((before, state.position)), state.targets)
         at_goal = to_goal < self.goal_radius
         done = np.asarray(at_goal.all(axis=-1))
-        team = gained.sum(axis=-1)
+        team = (earlier - to_goal).sum(axis=-1)
         if np.count_nonzero(done):  # adding zeros takes longer
             team += self.all_at_goal_reward * done
         reward = team[:, None] - self.collision_penalty * contacts

@@ -12,6 +12,7 @@ MOVES = SUBSTEPS * CONTACT_CHECKS  # per step; Chipmunk checks for contacts afte
 VELOCITY_KEPT = np.array(DAMPING**MOVE)  # per substep; an array: numpy takes longer with a Python float
 DURATION = np.array(MOVE)  # s, of a move
 MARGIN = 1e-9  # m, allowance for rounding
+MANY_PAIRS, MANY_EPISODES = 10, 100  # with fewer, to look at all pairs in every move is faster
 
 
 def fly(position: Floats, velocity: Floats, force: Floats) -> tuple[Floats, Floats]:
@@ -43,12 +44,27 @@ def touching(
             that one only gets near a wall.
         close: (B,). False: no two agents are within `task.collision_gap` at the end.
     """
-    apart = path.take(pairs[0], axis=2)
-    apart -= path.take(pairs[1], axis=2)
-    apart *= apart
-    squared = apart[..., 0] + apart[..., 1]  # (MOVES, B, pairs)
-    touches = (squared < (2 * task.radius + MARGIN) ** 2).any(axis=0).any(axis=-1)
-    close = (squared[-1] < (2 * task.radius + max(task.collision_gap, 0.0) + MARGIN) ** 2).any(axis=-1)
+    n_episodes, n_agents = path.shape[1:3]
+    contact, collision = 2 * task.radius + MARGIN, 2 * task.radius + max(task.collision_gap, 0.0) + MARGIN
+    if pairs[0].size < MANY_PAIRS or n_episodes < MANY_EPISODES:
+        squared = _squared(path.take(pairs[0], axis=2), path.take(pairs[1], axis=2))  # (MOVES, B, pairs)
+        touches = _any(np.asarray((squared < contact**2).any(axis=0)))
+        close = _any(squared[-1] < collision**2)
+    else:
+        squared = _squared(path[-1].take(pairs[0], axis=1), path[-1].take(pairs[1], axis=1))  # (B, pairs)
+        close = _any(squared < collision**2)
+        # Before, no two discs were nearer than this allows. Only a few pairs are worth a look at each move.
+        way = np.abs(path[CONTACT_CHECKS - 1] - path[0])
+        way += np.abs(path[-1] - path[CONTACT_CHECKS - 1])
+        reach = contact + 2 * np.sqrt(2.0) * way.reshape(n_episodes, -1).max(axis=1)
+        episode, pair = (squared < (reach * reach)[:, None]).nonzero()
+        discs = path.reshape(MOVES, -1, 2)
+        squared = _squared(
+            discs.take(episode * n_agents + pairs[0].take(pair), axis=1),
+            discs.take(episode * n_agents + pairs[1].take(pair), axis=1),
+        )
+        touches = np.zeros(n_episodes, dtype=np.bool_)
+        touches[episode[(squared < contact**2).any(axis=0)]] = True
     if task.bound is not None or task.n_walls:
         # The moves of a substep lie on a line.
         turns = (path[0], path[CONTACT_CHECKS - 1], path[-1])
@@ -61,3 +77,18 @@ def touching(
             at_wall &= high[:, :, None] > (walls - reach)[:, None]
             touches |= at_wall.all(axis=-1).any(axis=(1, 2))
     return np.asarray(touches), np.asarray(close)
+
+
+def _squared(one: Floats, other: Floats) -> Floats:
+    """(..., 2), (..., 2) -> (...) squared distances. Overwrites `one`."""
+    one -= other
+    one *= one
+    squared: Floats = one[..., 0] + one[..., 1]
+    return squared
+
+
+def _any(flags: Bools) -> Bools:
+    """(B, pairs) -> (B,): `flags.any(axis=-1)`, which is slow where rows are short."""
+    result = np.zeros(len(flags), dtype=np.bool_)
+    result[np.flatnonzero(flags) // max(flags.shape[1], 1)] = True
+    return result

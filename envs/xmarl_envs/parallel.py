@@ -96,9 +96,10 @@ class TaskParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # no
         key = self.task.success_key
         (success,), (reward,) = step.success.tolist(), step.reward.tolist()
         (of_agents,), (of_objects,) = step.agent_collision.tolist(), step.object_collision.tolist()
+        each = zip(agents, success, of_agents, of_objects, strict=True)
         infos = {
-            agent: {key: success[i], "agent_collision": of_agents[i], "object_collision": of_objects[i]}
-            for i, agent in enumerate(agents)
+            agent: {key: reached, "agent_collision": touched, "object_collision": hit}
+            for agent, reached, touched, hit in each
         }
         result = (
             self._by_agent(step.observation[0]),

@@ -22,6 +22,7 @@ from xmarl_envs.task import Bools, Floats, Task
 FEWEST_TOGETHER = 5  # fewer teams fly one by one
 LARGEST_FLYING_TEAM = 8  # nearly every larger team has a contact
 PATIENCE = 8  # steps between two looks whether a team in its own Space is apart
+TRIAL = 1000  # steps without the own Space, after which more than half of them taken again are too many
 
 
 class SeparateSpaces:
@@ -42,7 +43,15 @@ class SeparateSpaces:
         self._in_own: set[int] = set()
         self._own: dict[int, SlottedSpace] = {}
         self._caught_up: dict[int, int] = {}  # bytes of `_forces` that the own Space has taken
+        self._n_spared = self._n_missed = (
+            0  # steps without the own Space; those that it had to take after all
+        )
         self._pairs = np.triu_indices(task.n_agents, k=1)
+
+    def _may_fly(self) -> bool:
+        if self._task.n_agents > LARGEST_FLYING_TEAM or not flight_has_the_bits_of_a_space():
+            return False
+        return self._n_spared < TRIAL or 2 * self._n_missed < self._n_spared
 
     def place(self, episodes: NDArray[np.intp], agents: Floats, velocity: Floats, walls: Floats) -> None:
         """Begin episodes (E,) with agents (E, N, 2), their velocity (E, N, 2) and walls (E, W, 2)."""
@@ -55,7 +64,7 @@ class SeparateSpaces:
             self._caught_up.pop(k, None)
             if k in self._lent:
                 self._take_back(k)
-        flying = self._task.n_agents <= LARGEST_FLYING_TEAM and flight_has_the_bits_of_a_space()
+        flying = self._may_fly()
         self._flying[episodes] = flying
         self._in_own.difference_update(begun) if flying else self._in_own.update(begun)
 
@@ -64,19 +73,19 @@ class SeparateSpaces:
     ) -> Bools:
         """Advance position and velocity (B, N, 2), in place, under force (B, N, 2).
 
-        Returns (B,): False where no two agents are within `collision_gap` afterwards.
+        Returns (B,): False where no two agents of a live episode are within `collision_gap` afterwards.
         """
-        n_episodes = len(position)
-        close: Bools = np.ones(n_episodes, dtype=np.bool_)
+        close: Bools = np.zeros(len(position), dtype=np.bool_)
         steps, size = force.tobytes(), force[0].nbytes
-        for k in range(n_episodes) if live is None else live.nonzero()[0].tolist():
+        for k in range(len(position)) if live is None else live.nonzero()[0].tolist():
             self._forces[k] += steps[k * size : (k + 1) * size]
         in_spaces = [*self._lent, *self._in_own]
         (which,) = (self._flying if live is None else self._flying & live).nonzero()
+        self._n_spared += which.size + len(self._lent)
         if which.size < FEWEST_TOGETHER:
             for k in which.tolist():
                 touches, near = fly_alone(self._task, position[k], velocity[k], force[k], walls[k])
-                close[k] = touches or near
+                close[k] = near
                 if touches:
                     self._lend(k, position[k], velocity[k])
                     in_spaces.append(k)
@@ -87,12 +96,12 @@ class SeparateSpaces:
             for k in touching_ones:
                 self._lend(k, position[k], velocity[k])
             in_spaces += touching_ones
-            position[which], velocity[which], close[which] = path[-1], end_velocity, all_near | met
+            position[which], velocity[which], close[which] = path[-1], end_velocity, all_near
         for k in in_spaces:
             if live is None or live[k]:
                 step = self._step_lent if k in self._lent else self._step_own
                 space = step(k, force[k])
-                position[k], velocity[k] = space.position, space.velocity
+                position[k], velocity[k], close[k] = space.position, space.velocity, True
         return close
 
     def _lend(self, k: int, position: Floats, velocity: Floats) -> None:
@@ -111,7 +120,10 @@ class SeparateSpaces:
         space = self._lent[k]
         contacts = space.advance(force, watch=True)
         if contacts > 1:
-            self._take_back(k)
+            if k in self._own:
+                self._take_back(k)
+            else:
+                self._own[k] = self._lent.pop(k)
             self._in_own.add(k)
             return self._step_own(k, force)
         space.read()
@@ -126,12 +138,13 @@ class SeparateSpaces:
         done, due = self._caught_up.get(k), len(forces) - force.nbytes
         space = self._begin_own(k) if done is None else self._own[k]
         if done != due:
-            for missed in np.frombuffer(bytes(forces[done or 0 : due])).reshape(-1, *force.shape):
-                space.advance(missed)
+            missed = np.frombuffer(bytes(forces[done or 0 : due])).reshape(-1, *force.shape)
+            for each in missed:
+                space.advance(each)
+            self._n_missed += len(missed)
         space.step(force)
         self._caught_up[k] = len(forces)
-        look = self._task.n_agents <= LARGEST_FLYING_TEAM and due // force.nbytes % PATIENCE == 0
-        if look and not space.contacts():
+        if due // force.nbytes % PATIENCE == 0 and self._may_fly() and not space.contacts():
             self._in_own.remove(k)
             self._flying[k] = True
         return space

@@ -23,6 +23,7 @@ SMALLEST_SPACE = (
 )
 # Nearly every larger team has a contact, and checking all its pairs costs more than a Space.
 LARGEST_FLYING_TEAM = 8
+BLOCK = 1024  # episodes whose paths are computed together: what they need stays in the processor's cache
 
 
 class SharedSpaces:
@@ -59,9 +60,14 @@ class SharedSpaces:
 
         Returns (B,): False where no two agents are within `collision_gap` afterwards.
         """
-        path, end_velocity = fly(position, velocity, force)
-        end_position = path[-1]
-        touches, close = self._touches(path, walls)
+        end_position, end_velocity = np.empty_like(position), np.empty_like(velocity)
+        touches, close = np.ones((2, len(position)), dtype=np.bool_)
+        for first in range(0, len(position), BLOCK):
+            some = slice(first, first + BLOCK)
+            path, end_velocity[some] = fly(position[some], velocity[some], force[some])
+            end_position[some] = path[-1]
+            if self._task.n_agents <= LARGEST_FLYING_TEAM:
+                touches[some], close[some] = touching(self._task, path, walls[some], self._pairs)
         needs_space = touches | self._touched
         if live is not None:
             needs_space &= live
@@ -96,12 +102,6 @@ class SharedSpaces:
         position[...] = end_position
         velocity[...] = end_velocity
         return close
-
-    def _touches(self, path: Floats, walls: Floats) -> tuple[Bools, Bools]:
-        """Two arrays (B,), see `touching`, of episodes that fly freely along `path` (MOVES, B, N, 2)."""
-        if self._task.n_agents > LARGEST_FLYING_TEAM:
-            return np.ones_like(self._touched), np.ones_like(self._touched)
-        return touching(self._task, path, walls, self._pairs)
 
     def _assign_slots(self, needs_space: Bools) -> None:
         has_slot = self._slot != NO_SLOT

@@ -44,10 +44,10 @@ ONE = "one episode, ParallelEnv"
 Actions = NDArray[np.float32]
 
 
-def random_actions(n_episodes: int) -> Actions:
+def random_actions(n_episodes: int, n_agents: int = TASK.n_agents) -> Actions:
     """(CYCLES, B, N, 2)"""
     rng = np.random.default_rng(0)
-    drawn = rng.uniform(-1, 1, (CYCLES // HELD, n_episodes, TASK.n_agents, 2))
+    drawn = rng.uniform(-1, 1, (CYCLES // HELD, n_episodes, n_agents, 2))
     return np.repeat(drawn.astype(np.float32), HELD, axis=0)
 
 
@@ -69,12 +69,12 @@ def our_episode() -> Run:
     return run
 
 
-def our_batch(n_episodes: int, copies_per_space: int) -> Run:
+def our_batch(n_episodes: int, copies_per_space: int, task: BlindNavigation = TASK) -> Run:
     env = TeamVectorEnv(
-        TASK, n_episodes, CYCLES, copies_per_space=copies_per_space, autoreset_mode="SameStep"
+        task, n_episodes, CYCLES, copies_per_space=copies_per_space, autoreset_mode="SameStep"
     )
     env.reset(seed=0)
-    actions = random_actions(n_episodes)
+    actions = random_actions(n_episodes, task.n_agents)
 
     def run() -> None:
         for action in actions:
@@ -83,12 +83,13 @@ def our_batch(n_episodes: int, copies_per_space: int) -> Run:
     return run
 
 
-def vmas_batch(n_episodes: int) -> Run:
-    env = VmasTwin(TASK.name, TASK.n_agents, n_episodes).env
+def vmas_batch(n_episodes: int, task: BlindNavigation = TASK) -> Run:
+    env = VmasTwin(task.name, task.n_agents, n_episodes).env
     env.max_steps = CYCLES
     env.reset()
     actions = [
-        [torch.tensor(action[:, i]) for i in range(TASK.n_agents)] for action in random_actions(n_episodes)
+        [torch.tensor(action[:, i]) for i in range(task.n_agents)]
+        for action in random_actions(n_episodes, task.n_agents)
     ]
 
     def run() -> None:
@@ -143,6 +144,25 @@ def test_a_batch(benchmark: BenchmarkFixture, report: Report, n_episodes: int, b
     ours, theirs = our_batch(n_episodes, SHARED), vmas_batch(n_episodes)
     pieces = CYCLES * n_episodes
     side_by_side(benchmark, report, batch(n_episodes), "VMAS", ours, clocked(theirs), pieces=pieces, bar=bar)
+
+
+def test_a_larger_team(benchmark: BenchmarkFixture, report: Report) -> None:
+    benchmark.group = "1024 episodes of 8 agents"
+    task = BlindNavigation(8)
+    ours, theirs = our_batch(1024, SHARED, task), vmas_batch(1024, task)
+    what = "1024 episodes of 8 agents, shared Spaces"
+    pieces = CYCLES * 1024
+    side_by_side(benchmark, report, what, "VMAS", ours, clocked(theirs), pieces=pieces, bar=2.0, rounds=3)
+
+
+def test_a_larger_batch(benchmark: BenchmarkFixture, report: Report) -> None:
+    """An episode takes no longer in a larger batch."""
+    benchmark.group = "4096 episodes"
+    ours, fewer = our_batch(4096, SHARED), our_batch(1024, SHARED)
+    side_by_side(
+        benchmark, report, batch(4096), "the same, 1024", ours, clocked(fewer),
+        pieces=CYCLES * 4096, their_pieces=CYCLES * 1024, bar=0.9, rounds=3,
+    )  # fmt: skip
 
 
 def test_a_batch_as_scored(benchmark: BenchmarkFixture, report: Report) -> None:

@@ -250,7 +250,8 @@ def undecided(scores: Scores) -> list[str]:
         f"the term, at most {most} training run{'s' * (most > 1)} each. How far runs of "
         f"one cell spread is " + ("not known." if most == 1 else "known for some cells only."),
         f"- **Families.** All policies are of the family `{'`, `'.join(families)}`.",
-        "- **One dose.** Each task has one weight of the entropy term. How the answer depends on it is open.",
+        "- **One dose.** On the board each task has one weight of the entropy term. "
+        "[dose.md](dose.md) has several, of one cell.",
     ]
     if "paper" not in families:
         lines[1] += " Whether the answers hold for the paper's own architecture is open."

@@ -1,0 +1,149 @@
+"""Writes docs/dose.md and its picture: what more of the attention-entropy term does to attention.
+
+    .venv/bin/python docs/make_dose.py
+
+from the records that `python -m xmarl_baselines.dose` wrote. No number on the page is typed by hand;
+tests/docs/test_dose_page.py fails if it is stale.
+"""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from scipy.stats import kendalltau
+from xmarl_baselines.dose import RECORDS
+
+from xmarl_bench.counted import counted
+from xmarl_bench.metrics.statistics import Difference, over_runs
+
+DOCS = Path(__file__).parent
+BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#808080"  # Okabe and Ito
+COLUMNS = {
+    "message_fidelity": "message fidelity of attention",
+    "attention_entropy": "attention entropy (nats)",
+    "success": "success",
+    "no_agent_collision": "no agent collision",
+    "success_without_messages": "success without messages",
+}
+Runs = dict[float, dict[int, dict[str, Any]]]  # lambda -> seed -> record
+
+
+def runs_of(records: Sequence[dict[str, Any]]) -> Runs:
+    runs: Runs = {}
+    for record in sorted(records, key=lambda each: (each["lambda"], each["seed"])):
+        runs.setdefault(record["lambda"], {})[record["seed"]] = record
+    return runs
+
+
+def against_none(runs: Runs, weight: float, metric: str) -> Difference:
+    """With the term less without it, paired by seed: until the term sets in, both runs are the same."""
+    seeds = sorted(runs[weight].keys() & runs[0.0].keys())
+    return over_runs(*([[runs[each][seed][metric]] for seed in seeds] for each in (weight, 0.0)))
+
+
+def trend(runs: Runs, metric: str) -> Difference:
+    """Kendall's tau between lambda and the metric within a seed, over the seeds that have every lambda."""
+    seeds = sorted(set.intersection(*(set(each) for each in runs.values())))
+    taus = [[kendalltau(list(runs), [of[seed][metric] for of in runs.values()]).statistic] for seed in seeds]
+    return over_runs(taus, [[0.0] for _ in taus])
+
+
+def interval(difference: Difference) -> str:
+    if difference.value is None:
+        return "undefined"  # tau of a constant
+    if difference.interval is None:
+        return f"{difference.value:+.2f}"
+    low, high = difference.interval
+    return f"{difference.value:+.2f} [{low:+.2f}, {high:+.2f}]"
+
+
+def answer(runs: Runs) -> str:
+    """The first sentences of the page."""
+    found = trend(runs, "message_fidelity")
+    assert found.value is not None
+    if found.holds_zero:
+        said = "It is not decided whether more of the term makes attention truer"
+    else:
+        said = f"More of the term makes attention {'truer' if found.value > 0 else 'less true'}"
+    best = max(runs, key=lambda each: mean(runs[each], "message_fidelity"))
+    return (
+        f"{said}: within a seed, Kendall's tau of lambda and message fidelity is {interval(found)} over "
+        f"{counted(found.units, 'seed')}. It is highest at lambda {best:g}, "
+        f"with {mean(runs[best], 'message_fidelity'):.2f} against {mean(runs[0.0], 'message_fidelity'):.2f} without the term. Tau of lambda and success is "
+        f"{interval(trend(runs, 'success'))}, of lambda and the episodes without agents touching "
+        f"{interval(trend(runs, 'no_agent_collision'))}."
+    )
+
+
+def mean(runs: dict[int, dict[str, Any]], metric: str) -> float:
+    return float(np.mean([each[metric] for each in runs.values()]))
+
+
+def rows(runs: Runs) -> list[list[str]]:
+    """A line for each lambda: means over seeds, and differences to the same seeds without the term."""
+    lines = []
+    for weight, of_seeds in runs.items():
+        cells = [f"{weight:g}", str(len(of_seeds))]
+        for metric in COLUMNS:
+            cells.append(f"{mean(of_seeds, metric):.2f}")
+            if weight > 0.0:
+                cells[-1] += f" ({interval(against_none(runs, weight, metric))})"
+        for control in ("initial-attention", "nearest"):
+            values = [each["controls"][control]["message_fidelity"] for each in of_seeds.values()]
+            cells.append(f"{np.mean(values):.2f}")
+        lines.append(cells)
+    return lines
+
+
+def page(runs: Runs) -> str:
+    environment = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
+    template = environment.from_string((DOCS / "dose.md.jinja").read_text(encoding="utf-8"))
+    return template.render(answer=textwrap.fill(answer(runs), 118), columns=COLUMNS, rows=rows(runs))
+
+
+def draw(runs: Runs, path: Path) -> None:
+    figure, axes = plt.subplots(1, 3, figsize=(9, 3.2), layout="constrained")
+    panels = (
+        ("message fidelity of attention", (("message_fidelity", BLUE, "o-", None),)),
+        ("attention entropy (nats)", (("attention_entropy", BLUE, "o-", None),)),
+        (
+            "share of episodes",
+            (
+                ("success", BLUE, "o-", "success"),
+                ("no_agent_collision", ORANGE, "s--", "no agent collision"),
+                ("success_without_messages", GREY, "^:", "success without messages"),
+            ),
+        ),
+    )
+    for axis, (title, lines) in zip(axes, panels, strict=True):
+        for metric, colour, style, label in lines:
+            axis.plot([mean(each, metric) for each in runs.values()], style, color=colour, label=label)
+            for x, of_seeds in enumerate(runs.values()):
+                values = [each[metric] for each in of_seeds.values()]
+                axis.plot([x] * len(values), values, style[0], color=colour, alpha=0.35, markersize=4)
+        axis.set_xticks(range(len(runs)), [f"{weight:g}" for weight in runs])
+        axis.set_xlabel("lambda")
+        axis.set_title(title, fontsize=10)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[-1].legend(fontsize=7)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def made() -> tuple[str, Runs]:
+    """The page, and the runs that it is made of."""
+    runs = runs_of([json.loads(path.read_bytes()) for path in sorted(RECORDS.glob("*.json"))])
+    return page(runs), runs
+
+
+if __name__ == "__main__":
+    text, found_runs = made()
+    draw(found_runs, DOCS / "dose.png")
+    (DOCS / "dose.md").write_text(text, encoding="utf-8", newline="\n")

@@ -76,8 +76,10 @@ def answer(runs: Runs) -> str:
     return (
         f"{said}: within a seed, Kendall's tau of lambda and message fidelity is {interval(found)} over "
         f"{counted(found.units, 'seed')}. It is highest at lambda {best:g}, "
-        f"with {mean(runs[best], 'message_fidelity'):.2f} against {mean(runs[0.0], 'message_fidelity'):.2f} without the term. Tau of lambda and success is "
-        f"{interval(trend(runs, 'success'))}, of lambda and the episodes without agents touching "
+        f"with {mean(runs[best], 'message_fidelity'):.2f} "
+        f"against {mean(runs[0.0], 'message_fidelity'):.2f} without the term. "
+        f"Tau of lambda and success is {interval(trend(runs, 'success'))}, "
+        f"of lambda and the episodes without agents touching "
         f"{interval(trend(runs, 'no_agent_collision'))}."
     )
 

@@ -114,7 +114,7 @@ def score(
     from dataclasses import replace
 
     from xmarl_bench.counted import counted
-    from xmarl_bench.entry.file import SHARED, read_entries, remove_unused, write_entry
+    from xmarl_bench.entry.file import read_entries, remove_unused, write_entry
     from xmarl_bench.origin.references import is_reference
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.records.files import locked, remove_leftovers
@@ -168,8 +168,7 @@ def score(
     entries: list[Entry] = []
     failed: list[Failed] = []
     with locked(out):
-        for folder in (out, out / "entries", out / "entries" / SHARED):
-            remove_leftovers(folder)
+        remove_leftovers(out)
         outcomes = score_requests(
             requests,
             workers=workers,

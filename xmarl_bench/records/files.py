@@ -66,9 +66,12 @@ def _temporary_beside(path: Path) -> Path:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Delete temporary files of processes of this machine that have ended. Keeps those of other machines."""
+    """Delete temporary files, also in subfolders, of processes of this machine that have ended.
+
+    Keeps those of other machines.
+    """
     ours = re.compile(rf"\..*\.{re.escape(socket.gethostname())}-([0-9]+)-[^-]*\.tmp")
-    for path in folder.glob(".*.tmp"):
+    for path in folder.rglob(".*.tmp"):
         match = ours.fullmatch(path.name)
         if match is not None and not is_running(int(match[1])):
             path.unlink(missing_ok=True)

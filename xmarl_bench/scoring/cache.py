@@ -45,8 +45,7 @@ class Cache:
         for name, text in MARKS.items():
             if not (self.folder / name).exists():
                 write_atomically(self.folder / name, text)
-        for folder in (self.folder, *self.folder.glob("*/"), *self.folder.glob("*/*/")):
-            remove_leftovers(folder)
+        remove_leftovers(self.folder)
 
     def has(self, key: str) -> bool:
         return self.read(key) is not None

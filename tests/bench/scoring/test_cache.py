@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import socket
@@ -84,10 +85,14 @@ def test_temporary_files_of_dead_processes_are_deleted_and_others_kept(tmp_path:
         f".a.json.elsewhere-{dead.stdout.strip()}-x1.tmp": True,
         "a.json": True,
     }
-    for name in names:
-        (tmp_path / name).write_text("")
+    folders = tmp_path, tmp_path / "a" / "b"
+    folders[1].mkdir(parents=True)
+    for folder, name in itertools.product(folders, names):
+        (folder / name).write_text("")
     remove_leftovers(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {name for name, stays in names.items() if stays}
+    for folder in folders:
+        left = {path.name for path in folder.iterdir() if path.is_file()}
+        assert left == {name for name, stays in names.items() if stays}
 
 
 def test_the_temporary_file_of_a_killed_writer_is_deleted(tmp_path: Path) -> None:

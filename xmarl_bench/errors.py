@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-MANY = 20  # names in a message
+MANY = 50  # names in a message
 
 
 class InputError(ValueError):

@@ -2,6 +2,7 @@
 # Builds the wheel, or takes WHEEL, and spends a user's first ten minutes with it: in a clean environment and outside
 # of the repository, they list, score an explainer of their own and open the page. All extras can be installed.
 set -euo pipefail
+unset PYTHONPATH  # only what the wheel brings
 repository=$(cd "$(dirname "$0")/.." && pwd)
 python=${PYTHON:-python3}
 [[ $python == */* ]] && python=$(cd "$(dirname "$python")" && pwd)/$(basename "$python")

@@ -72,10 +72,17 @@ def answer(runs: Runs) -> str:
         said = "It is not decided whether more of the term makes attention truer"
     else:
         said = f"More of the term makes attention {'truer' if found.value > 0 else 'less true'}"
+    differences = {each: against_none(runs, each, "message_fidelity") for each in runs if each > 0.0}
+    decided = "".join(
+        f"With lambda {weight:g} message fidelity differs from that without the term by "
+        f"{interval(difference)}, over {counted(difference.units, 'seed')}. "
+        for weight, difference in differences.items()
+        if difference.interval is not None and not difference.holds_zero
+    )
     best = max(runs, key=lambda each: mean(runs[each], "message_fidelity"))
     return (
         f"{said}: within a seed, Kendall's tau of lambda and message fidelity is {interval(found)} over "
-        f"{counted(found.units, 'seed')}. It is highest at lambda {best:g}, "
+        f"{counted(found.units, 'seed')}. {decided}It is highest at lambda {best:g}, "
         f"with {mean(runs[best], 'message_fidelity'):.2f} "
         f"against {mean(runs[0.0], 'message_fidelity'):.2f} without the term. "
         f"Tau of lambda and success is {interval(trend(runs, 'success'))}, "

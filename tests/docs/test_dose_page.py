@@ -71,6 +71,15 @@ def test_the_answer_follows_the_numbers(
     assert text.endswith("agents touching undefined.")  # it is constant
 
 
+def test_a_difference_is_told_where_its_interval_excludes_0(script: dict[str, Any]) -> None:
+    made = records({0: (0.50, 0.66, 0.2), 1: (0.50, 0.65, 0.6), 2: (0.50, 0.67, 0.9)})
+    text = script["answer"](script["runs_of"](made))
+    assert text.count("With lambda") == 1
+    assert (
+        "With lambda 0.1 message fidelity differs from that without the term by +0.16 [+0.14, +0.18]" in text
+    )
+
+
 def test_a_seed_counts_where_it_has_every_lambda(script: dict[str, Any]) -> None:
     made = [*records({0: (0.5, 0.6, 0.7), 1: (0.4, 0.5, 0.6)}), *records({2: (0.9, 0.1, 0.0)})[:2]]
     runs = script["runs_of"](made)

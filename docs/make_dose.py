@@ -24,7 +24,7 @@ from xmarl_bench.counted import counted
 from xmarl_bench.metrics.statistics import Difference, over_runs
 
 DOCS = Path(__file__).parent
-BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#808080"  # Okabe and Ito
+BLUE, ORANGE, GREY = "#0072b2", "#d55e00", "#808080"  # Okabe and Ito
 COLUMNS = {
     "message_fidelity": "message fidelity of attention",
     "attention_entropy": "attention entropy (nats)",

@@ -19,6 +19,7 @@ from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.reference import dose_runs
 from xmarl_bench import score
 from xmarl_bench.policy import load_policy
+from xmarl_bench.policy.bundle import load_card
 from xmarl_bench.policy.untrusted import CARD
 from xmarl_bench.records.files import write_json
 
@@ -62,7 +63,7 @@ def main(
             continue
         if (
             path.exists()
-            and json.loads(path.read_bytes())["weights_sha256"] == load_policy(bundle)[1].weights_sha256
+            and json.loads(path.read_bytes())["weights_sha256"] == load_card(bundle).weights_sha256
         ):
             continue
         record = measured(bundle)

@@ -10,14 +10,20 @@ import atexit
 import os
 import secrets
 from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import cloudpickle
+from pydantic import ValidationError
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.limits import UNLIMITED, Limits
 from xmarl_bench.isolation.process import Stranger
 from xmarl_bench.isolation.walls import Wall
+from xmarl_bench.records.strict_json import first_error, shown
 
 PROCESSES_KEPT = 8  # in each process of the harness
 
@@ -28,6 +34,9 @@ class Isolation:
 
     limits: Limits = UNLIMITED
     wall: Wall = "process"
+
+
+PLAIN = Isolation()
 
 
 @dataclass(frozen=True)
@@ -63,6 +72,29 @@ class Conversation:
             if not self.process.running:
                 _running()[self.source.token] = error
             raise
+
+
+def sendable(what: str, thing: object) -> bytes:
+    """Pickled for a process of its own. what: its kind and name. Raises InputError if it cannot be."""
+    try:
+        return bytes(cloudpickle.dumps(thing))
+    except Exception as error:
+        raise InputError(
+            f"{what} cannot be sent to a process of its own ({type(error).__name__}: {error}): keep files, "
+            f"locks and connections out of it, or run it here (isolate=False)."
+        ) from error
+
+
+@contextmanager
+def reading_answer(source: Source) -> Iterator[None]:
+    """While an answer is parsed by pydantic: raises InputError, naming the source, if it is not valid."""
+    try:
+        yield
+    except ValidationError as error:
+        problem, where = first_error(error)
+        raise InputError(
+            f"{source.name} has no valid {shown(where)} ({shown(problem)}): correct it."
+        ) from None
 
 
 def forgotten(known: OrderedDict[str, None], kept: int) -> list[str]:

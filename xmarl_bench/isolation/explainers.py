@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NoReturn
 
-import cloudpickle
 from pydantic import Field, ValidationError
 
 from xmarl_bench.entry.schema import ExplainerRecord
@@ -21,7 +20,7 @@ from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.simulated import SIMULATOR, Simulated
 from xmarl_bench.isolation.asked import Asked
-from xmarl_bench.isolation.conversation import Isolation, Source, conversation
+from xmarl_bench.isolation.conversation import PLAIN, Isolation, Source, conversation, sendable
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.code_hash import object_sha256
 from xmarl_bench.origin.references import Origin
@@ -40,18 +39,12 @@ class Declared(ExplainerRecord):
     hyperparameters: Annotated[dict[Text, bool | int | float | Text | None], Field(max_length=100)]
 
 
-def isolate(explainer: Explainer, isolation: Isolation = Isolation()) -> Explainer:  # noqa: B008
+def isolate(explainer: Explainer, isolation: Isolation = PLAIN) -> Explainer:
     """The same explainer, asked over a pipe: it is sent to its process by value.
 
     Raises InputError if it cannot be pickled.
     """
-    try:
-        content = bytes(cloudpickle.dumps(replace(explainer, elsewhere=None)))
-    except Exception as error:
-        raise InputError(
-            f"explainer {explainer.name!r} cannot be sent to a process of its own ({type(error).__name__}: "
-            f"{error}): keep files, locks and connections out of it, or run it here (isolate=False)."
-        ) from error
+    content = sendable(f"explainer {explainer.name!r}", replace(explainer, elsewhere=None))
     key = object_sha256(replace(explainer, summary="", origin=None)) or secrets.token_hex()
     source = Source(f"explainer {explainer.name}", {"what": "load", "pickled": content}, isolation)
     return _asking(explainer, Asked(source, key))

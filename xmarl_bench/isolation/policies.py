@@ -5,20 +5,18 @@ from __future__ import annotations
 import secrets
 from typing import Annotated, Any
 
-import cloudpickle
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from torch import nn
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.asked import AskedPolicy
-from xmarl_bench.isolation.conversation import Isolation, Source, conversation
+from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
 from xmarl_bench.isolation.tasks import ask_pickled, ask_task
 from xmarl_bench.origin.references import Origin, origin_of
 from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.policy.tensors import check_tensors
 from xmarl_bench.records.field_types import Text
-from xmarl_bench.records.strict_json import first_error, shown
 from xmarl_bench.tasks.sources import task_names
 
 MAX_MEMORY = 2**16  # H, numbers that an agent remembers
@@ -52,13 +50,7 @@ def isolate_policy(
         name, network = policy[1].name, policy[0]
     if isinstance(network, nn.Module):  # else its process says what it is
         check_tensors(network, name)
-    try:
-        pickled = bytes(cloudpickle.dumps(policy))
-    except Exception as error:
-        raise InputError(
-            f"policy {name!r} cannot be sent to a process of its own ({type(error).__name__}: {error}): keep "
-            f"files, locks and connections out of it, or run it here (isolate=False)."
-        ) from error
+    pickled = sendable(f"policy {name!r}", policy)
     origin = None
     if isinstance(policy, PolicyModule):
         origin = origin_of(policy.network)
@@ -77,14 +69,9 @@ def open_elsewhere(
     InputError if it does not open.
     """
     header, pickled = conversation(source).ask({"what": "open", **question})
-    try:
+    with reading_answer(source):
         header["card"] = PolicyCard.model_validate_json(str(header.get("card")))
         opened = Opened.model_validate(header)
-    except ValidationError as error:
-        problem, where = first_error(error)
-        raise InputError(
-            f"{source.name} has no valid {shown(where)} ({shown(problem)}): correct it."
-        ) from None
     card, architecture = opened.card, opened.card.architecture
     policy_bytes = len(pickled) - opened.task_bytes
     if opened.task_bytes and card.task not in task_names():

@@ -12,27 +12,25 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, NoReturn
+from typing import Annotated, Any, NoReturn
 
-import cloudpickle
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from xmarl_envs import TASKS
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.isolation.conversation import Isolation, Source, conversation
+from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
 from xmarl_bench.origin.plugins import origin_of_plugin
 from xmarl_bench.origin.references import (
     Origin,
     check_named,
-    is_file,
     is_reference,
+    located,
     origin_of,
-    origin_of_file,
 )
 from xmarl_bench.records.field_types import Text
-from xmarl_bench.records.strict_json import first_error, shown
+from xmarl_bench.tasks.interface import ArrayStep
 from xmarl_bench.tasks.sources import (
     NAME,
     TaskSource,
@@ -88,7 +86,8 @@ def ask_task(task: str | Callable[..., Any], isolation: Isolation, *, trust_code
     if not isinstance(task, str):
         if task in TASKS.values():
             return open_task(task)
-        return ask_pickled(_pickled(task), _name_of(task), isolation, origin_of(task))
+        name = str(getattr(task, "__name__", type(task).__name__))
+        return ask_pickled(sendable(f"task {name!r}", task), name, isolation, origin_of(task))
     plugin = None if is_reference(task) else task_plugins().get(task)
     if task in TASKS or (plugin is None and not is_reference(task)):
         check_named(task)
@@ -101,11 +100,7 @@ def ask_task(task: str | Callable[..., Any], isolation: Isolation, *, trust_code
         asked = {"plugin": (plugin.name, plugin.value, plugin.group)}
         source = Source(f"task {task}", {"what": "task", **asked}, isolation)
         return _opened(source, origin_of_plugin(plugin), task)
-    place, _, name = task.rpartition(":")
-    readable, origin = tuple[Path, ...](), None
-    if is_file(place):
-        readable = (Path(place).resolve(),)
-        task, origin = f"{readable[0]}:{name}", origin_of_file(readable[0], name)
+    task, readable, origin = located(task)
     load = {"what": "task", "reference": task}
     return _opened(Source(f"task {Path(task).name}", load, isolation, readable), origin, None)
 
@@ -117,7 +112,9 @@ def ask_pickled(factory: bytes, name: str, isolation: Isolation, origin: Origin 
 
 def _opened(source: Source, origin: Origin | None, name: str | None) -> TaskSource:
     """Start the process and register its task. name: that it must have."""
-    told = _parsed(ToldSource, source, conversation(source).declared)
+    declared = conversation(source).declared
+    with reading_answer(source):
+        told = ToldSource.model_validate(declared)
     if told.name in TASKS:
         return known_task(told.name)
     if name not in (None, told.name):
@@ -132,30 +129,6 @@ def _opened(source: Source, origin: Origin | None, name: str | None) -> TaskSour
     )
     register(found)
     return found
-
-
-def _parsed(kind: type[Any], source: Source, header: dict[str, Any]) -> Any:
-    try:
-        return kind.model_validate(header)
-    except ValidationError as error:
-        problem, where = first_error(error)
-        raise InputError(
-            f"{source.name} has no valid {shown(where)} ({shown(problem)}): correct it."
-        ) from None
-
-
-def _pickled(factory: Callable[..., Any]) -> bytes:
-    try:
-        return bytes(cloudpickle.dumps(factory))
-    except Exception as error:
-        raise InputError(
-            f"task {_name_of(factory)!r} cannot be sent to a process of its own ({type(error).__name__}: "
-            f"{error}): keep files, locks and connections out of it, or run it here (isolate=False)."
-        ) from error
-
-
-def _name_of(factory: object) -> str:
-    return str(getattr(factory, "__name__", type(factory).__name__))
 
 
 def _not_here(*_: object) -> NoReturn:
@@ -188,7 +161,9 @@ class AskedSource(TaskSource):
 def _made(source: AskedSource, n_agents: int, continuous: bool | None) -> AskedTask:
     """continuous: with such actions; None: with its own."""
     question = {"what": "make", "n_agents": n_agents, "continuous": continuous}
-    told = _parsed(ToldTask, source.source, conversation(source.source).ask(question)[0])
+    header, _ = conversation(source.source).ask(question)
+    with reading_answer(source.source):
+        told = ToldTask.model_validate(header)
     if len(told.observation_names) not in (0, told.obs_dim):
         raise InputError(f"{source.source.name} names another number of observation entries: correct it.")
     return AskedTask(source, n_agents, continuous, told)
@@ -240,18 +215,6 @@ class AskedTask:
         return AskedEpisodes(self, n_episodes, max_cycles)
 
 
-class AskedStep(NamedTuple):
-    """See `TeamStep`."""
-
-    observation: NDArray[np.float32]
-    reward: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    success: NDArray[np.float64]
-    agent_collision: NDArray[np.float64]
-    object_collision: NDArray[np.float64]
-
-
 class AskedEpisodes:
     """See `TeamEpisodes`. All of them take a step in one question."""
 
@@ -270,10 +233,10 @@ class AskedEpisodes:
         (observation,) = self._ask("reset", [self._seen], seeds=[int(each) for each in seeds], episodes=which)
         return self._checked(observation)
 
-    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> AskedStep:
+    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> ArrayStep:
         each, told = ("<f8", self.teams), ("?", self.teams[:1])
         kinds = [self._seen, each, told, told, each, each, each]
-        step = AskedStep(*self._ask("step_task", kinds, action=action, live=live))
+        step = ArrayStep(*self._ask("step_task", kinds, action=action, live=live))
         self._checked(step.observation)
         return step
 

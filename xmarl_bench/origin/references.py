@@ -128,6 +128,19 @@ def is_file(place: str) -> bool:
     return place.endswith(".py") or len(Path(place).parts) > 1
 
 
+def located(reference: str) -> tuple[str, tuple[Path, ...], Origin | None]:
+    """A reference with the whole path of its file, the files to read, and its origin; nothing runs.
+
+    A reference to a module stays as it is, and its origin is not known yet. Raises InputError if the file
+    cannot be read.
+    """
+    place, _, name = reference.rpartition(":")
+    if not is_file(place):
+        return reference, (), None
+    path = Path(place).resolve()
+    return f"{path}:{name}", (path,), origin_of_file(path, name)
+
+
 def _source(path: Path) -> bytes:
     try:
         return path.read_bytes()

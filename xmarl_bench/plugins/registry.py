@@ -15,7 +15,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.isolation.conversation import Isolation, Source
+from xmarl_bench.isolation.conversation import PLAIN, Isolation, Source
 from xmarl_bench.isolation.explainers import find_elsewhere, isolate
 from xmarl_bench.isolation.policies import open_elsewhere
 from xmarl_bench.origin.installed import package_version
@@ -23,10 +23,9 @@ from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin
 from xmarl_bench.origin.references import (
     Origin,
     check_named,
-    is_file,
     is_reference,
     load_reference,
-    origin_of_file,
+    located,
 )
 from xmarl_bench.plugins.names import explainer_plugin, is_shipped, place_of, places_of_plugin
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
@@ -63,7 +62,7 @@ def find_explainer(name: str) -> Explainer:
     return checked_name(replace(explainer, origin=origin))
 
 
-def ask_explainer(name: str, isolation: Isolation = Isolation()) -> Explainer:  # noqa: B008
+def ask_explainer(name: str, isolation: Isolation = PLAIN) -> Explainer:
     """As `find_explainer`, but one that is not shipped is loaded and asked in a process of its own.
 
     Raises InputError as `find_explainer` does, and if the process fails.
@@ -71,20 +70,17 @@ def ask_explainer(name: str, isolation: Isolation = Isolation()) -> Explainer:  
     check_named(name)
     if is_shipped(name):
         return find_explainer(name)
-    origin, readable = None, list[Path]()
-    place, _, of_place = name.rpartition(":")
-    if not is_reference(name):
-        origin = origin_of_plugin(explainer_plugin(name))
-    elif is_file(place):
-        file = Path(place).resolve()
-        name, readable, origin = f"{file}:{of_place}", [file], origin_of_file(file, of_place)
+    if is_reference(name):
+        name, readable, origin = located(name)
+    else:
+        readable, origin = (), origin_of_plugin(explainer_plugin(name))
     found = find_elsewhere(name, origin, readable, isolation)
     if not is_reference(name) and found.name != name:
         raise InputError(f"explainer plugin {name!r} calls itself {found.name!r}: use one name for both.")
     return checked_name(found)
 
 
-def isolated(explainer: Explainer, isolation: Isolation = Isolation()) -> Explainer:  # noqa: B008
+def isolated(explainer: Explainer, isolation: Isolation = PLAIN) -> Explainer:
     """An explainer made in Python, asked in a process of its own unless it is a shipped one."""
     if explainer.elsewhere is not None or is_shipped_code(explainer):
         return explainer
@@ -136,10 +132,7 @@ def run_policy(name: str, plugin: EntryPoint | None) -> tuple[Policy, PolicyCard
 
 
 def ask_policy(
-    name: str,
-    isolation: Isolation = Isolation(),  # noqa: B008
-    *,
-    trust_code: bool = False,
+    name: str, isolation: Isolation = PLAIN, *, trust_code: bool = False
 ) -> tuple[Policy, PolicyCard]:
     """As `open_policy`, but a policy that is code runs in a process of its own.
 
@@ -157,11 +150,7 @@ def ask_policy(
         if card.name != name:
             raise InputError(f"policy plugin {name!r} calls itself {card.name!r}: use one name for both.")
         return policy, card
-    file, _, of_place = name.rpartition(":")
-    readable, origin = tuple[Path, ...](), None
-    if is_file(file):
-        readable = (Path(file).resolve(),)
-        name, origin = f"{readable[0]}:{of_place}", origin_of_file(readable[0], of_place)
+    name, readable, origin = located(name)
     source = Source(f"policy {Path(name).name}", None, isolation, readable)
     return open_elsewhere(source, {"policy": name, "plugin": None}, origin)
 

@@ -6,7 +6,7 @@ B is the number of episodes that are stepped together, N of agents, D of observa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,18 @@ class TeamStep(Protocol):
     def agent_collision(self) -> NDArray[Any]: ...  # (B, N), 0 or 1
     @property
     def object_collision(self) -> NDArray[Any]: ...  # (B, N), 0 or 1
+
+
+class ArrayStep(NamedTuple):
+    """A `TeamStep` of arrays."""
+
+    observation: NDArray[np.float32]
+    reward: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    success: NDArray[np.float64]
+    agent_collision: NDArray[np.float64]
+    object_collision: NDArray[np.float64]
 
 
 class TeamEpisodes(Protocol):

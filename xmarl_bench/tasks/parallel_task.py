@@ -13,29 +13,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.tasks.interface import ArrayStep
 
 SUCCESS_KEYS: Final = ("at_goal", "found", "is_success")
 AGENT_COLLISION, OBJECT_COLLISION = "agent_collision", "object_collision"
 Parallel: TypeAlias = Any  # a pettingzoo.ParallelEnv, which has no types
-
-
-class ParallelStep(NamedTuple):
-    """See `TeamStep`."""
-
-    observation: NDArray[np.float32]
-    reward: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    success: NDArray[np.float64]
-    agent_collision: NDArray[np.float64]
-    object_collision: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -137,7 +126,7 @@ class ParallelEpisodes:
         with foreign_code(self.task.name, "render"):
             return np.asarray(env.render(), dtype=np.uint8)
 
-    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> ParallelStep:
+    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> ArrayStep:
         """Step the live episodes. Raises InputError if an environment fails or an agent leaves early."""
         n_episodes, n_agents, _ = self._observation.shape
         told = [np.full((n_episodes, n_agents), np.nan) for _ in range(3)]
@@ -164,7 +153,7 @@ class ParallelEpisodes:
             object_collision[k] = _told(infos, agents, (OBJECT_COLLISION,))
             terminated[k] = all(ended)
             truncated[k] = not terminated[k] and (any(over) or self._cycles[k] >= self.max_cycles)
-        return ParallelStep(self._observation.copy(), reward, terminated, truncated, *told)
+        return ArrayStep(self._observation.copy(), reward, terminated, truncated, *told)
 
     def _check_together(self, env: Parallel, ended: Sequence[bool], over: Sequence[bool], cycle: int) -> None:
         """Raise InputError if some agents have left, and not all."""

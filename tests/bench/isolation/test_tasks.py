@@ -20,10 +20,10 @@ from xmarl_bench.entry.file import read_entries
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.conversation import Isolation, end_strangers
-from xmarl_bench.isolation.tasks import AskedSource, AskedStep, ask_task
+from xmarl_bench.isolation.tasks import AskedSource, ask_task
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.tasks import sources
-from xmarl_bench.tasks.interface import random_actions
+from xmarl_bench.tasks.interface import ArrayStep, random_actions
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="needs processes of Unix")]
 HERE, WORLDS = "tests.bench.isolation.test_tasks", "tests.bench.tasks.worlds"
@@ -63,7 +63,7 @@ def test_episodes_are_those_of_the_task_to_the_bit(factory: Callable[..., Any]) 
     for _ in range(5):
         action = random_actions(one, 4, rng)
         steps = [env.step(action, live) for env in envs]
-        for name in AskedStep._fields:
+        for name in ArrayStep._fields:
             first, second = (np.asarray(getattr(step, name)) for step in steps)
             assert np.array_equal(first, second, equal_nan=True), name
             assert first.astype(second.dtype).tobytes() == second.tobytes()

@@ -55,15 +55,6 @@ def trend(runs: Runs, metric: str) -> Difference:
     return over_runs(taus, [[0.0] for _ in taus])
 
 
-def interval(difference: Difference) -> str:
-    if difference.value is None:
-        return "undefined"  # tau of a constant
-    if difference.interval is None:
-        return f"{difference.value:+.2f}"
-    low, high = difference.interval
-    return f"{difference.value:+.2f} [{low:+.2f}, {high:+.2f}]"
-
-
 def answer(runs: Runs) -> str:
     """The first sentences of the page."""
     found = trend(runs, "message_fidelity")
@@ -75,19 +66,19 @@ def answer(runs: Runs) -> str:
     differences = {each: against_none(runs, each, "message_fidelity") for each in runs if each > 0.0}
     decided = "".join(
         f"With lambda {weight:g} message fidelity differs from that without the term by "
-        f"{interval(difference)}, over {counted(difference.units, 'seed')}. "
+        f"{difference}, over {counted(difference.units, 'seed')}. "
         for weight, difference in differences.items()
         if difference.interval is not None and not difference.holds_zero
     )
     best = max(runs, key=lambda each: mean(runs[each], "message_fidelity"))
     return (
-        f"{said}: within a seed, Kendall's tau of lambda and message fidelity is {interval(found)} over "
+        f"{said}: within a seed, Kendall's tau of lambda and message fidelity is {found} over "
         f"{counted(found.units, 'seed')}. {decided}It is highest at lambda {best:g}, "
         f"with {mean(runs[best], 'message_fidelity'):.2f} "
         f"against {mean(runs[0.0], 'message_fidelity'):.2f} without the term. "
-        f"Tau of lambda and success is {interval(trend(runs, 'success'))}, "
+        f"Tau of lambda and success is {trend(runs, 'success')}, "
         f"of lambda and the episodes without agents touching "
-        f"{interval(trend(runs, 'no_agent_collision'))}."
+        f"{trend(runs, 'no_agent_collision')}."
     )
 
 
@@ -103,7 +94,7 @@ def rows(runs: Runs) -> list[list[str]]:
         for metric in COLUMNS:
             cells.append(f"{mean(of_seeds, metric):.2f}")
             if weight > 0.0:
-                cells[-1] += f" ({interval(against_none(runs, weight, metric))})"
+                cells[-1] += f" ({against_none(runs, weight, metric)})"
         for control in ("initial-attention", "nearest"):
             values = [each["controls"][control]["message_fidelity"] for each in of_seeds.values()]
             cells.append(f"{np.mean(values):.2f}")

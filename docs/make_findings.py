@@ -40,15 +40,6 @@ N_KINDS = 3 * len(TASKS) * 2  # teams of 3, 4, 5; with and without the term
 MODEL_OF = dict(zip(UNDER_ABSENCES, Absence, strict=True))
 
 
-def interval(difference: Difference) -> str:
-    """The value with its 95 % interval."""
-    assert difference.value is not None
-    if difference.interval is None:
-        return f"{difference.value:+.2f}"
-    low, high = difference.interval
-    return f"{difference.value:+.2f} [{low:+.2f}, {high:+.2f}]"
-
-
 def more(difference: Difference, up: str, down: str, open_: str) -> str:
     """Which of three words the interval allows."""
     assert difference.value is not None
@@ -57,7 +48,7 @@ def more(difference: Difference, up: str, down: str, open_: str) -> str:
 
 def of(scores: Scores, a: str, b: str) -> str:
     """Message fidelity of a less that of b, with its interval."""
-    return interval(scores.difference(ORDER, a, b))
+    return str(scores.difference(ORDER, a, b))
 
 
 def task_metric(policy: dict[str, Any], metric: str) -> float | None:
@@ -102,7 +93,7 @@ def fid_delta_misleads(scores: Scores) -> Finding:
     text = (
         f"The mask of ones says that everybody influences everybody. Its FidDelta is "
         f"{scores.mean('fid_delta', 'all-ones'):.2f}, that of {best} {scores.mean('fid_delta', best):.2f}: "
-        f"{interval(lead)} for the mask that explains nothing. FidDelta rewards a mask for what it keeps, "
+        f"{lead} for the mask that explains nothing. FidDelta rewards a mask for what it keeps, "
         f"whatever it knows. In message fidelity the mask of ones has {scores.mean(ORDER, 'all-ones'):.2f}."
     )
 
@@ -164,9 +155,9 @@ def attention_is_learnt(scores: Scores) -> Finding:
     beyond = more(near, "is more than", "is less than", "may be no more than")
     text = (
         f"Attention has {scores.mean(ORDER, 'attention'):.2f}. The attention of the same network before its "
-        f"training has {scores.mean(ORDER, controls[0]):.2f}: {interval(before)} for the trained one. The "
+        f"training has {scores.mean(ORDER, controls[0]):.2f}: {before} for the trained one. The "
         f"nearest agent, which never looks at the policy, has {scores.mean(ORDER, controls[1]):.2f}: "
-        f"{interval(near)}. So what attention says {learnt}, and {beyond} who stands near whom."
+        f"{near}. So what attention says {learnt}, and {beyond} who stands near whom."
     )
 
     def draw(axis: Axes) -> None:
@@ -191,7 +182,7 @@ def defaults_fail(scores: Scores) -> Finding:
     )
     text = (
         f"GNNExplainer with torch_geometric's defaults has {scores.mean(ORDER, 'gnn_explainer'):.2f} and is "
-        f"{compared}: {interval(chance)}. Settings that fit policies add "
+        f"{compared}: {chance}. Settings that fit policies add "
         f"{of(scores, 'gnn_explainer-tuned', 'gnn_explainer')}. So the fault is that of defaults made for "
         f"other graphs, not of the method. GraphMask asked about messages alone, an agent always hearing "
         f"itself, changes by {of(scores, 'graphmask-messages', 'graphmask')}."

@@ -45,6 +45,13 @@ class Difference:
         """Whether the data show no difference: 0 is in the interval, or there is no interval."""
         return self.interval is None or self.interval[0] <= 0.0 <= self.interval[1]
 
+    def __str__(self) -> str:
+        """Such as `+0.16 [+0.10, +0.22]`: the value with its interval, if there is one."""
+        if self.value is None:
+            return "undefined"
+        known = "" if self.interval is None else f" [{self.interval[0]:+.2f}, {self.interval[1]:+.2f}]"
+        return f"{self.value:+.2f}{known}"
+
 
 def over_runs(
     a: Sequence[ArrayLike], b: Sequence[ArrayLike], *, confidence: float = CONFIDENCE

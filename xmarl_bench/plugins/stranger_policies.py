@@ -11,12 +11,11 @@ from collections.abc import Sequence
 from importlib.metadata import EntryPoint
 from typing import Any
 
-import cloudpickle
 import torch
 from torch import Tensor
 
-from xmarl_bench.errors import InputError
 from xmarl_bench.explain.sanity import shuffled_weights
+from xmarl_bench.isolation.conversation import sendable
 from xmarl_bench.isolation.tensors import Sent
 from xmarl_bench.origin.code_hash import object_sha256
 from xmarl_bench.plugins.registry import run_policy
@@ -42,17 +41,11 @@ def open_code(question: dict[str, Any]) -> Answer:
     else:
         plugin = question["plugin"]
         policy, card = run_policy(question["policy"], None if plugin is None else EntryPoint(*plugin))
-    try:
-        pickled = bytes(cloudpickle.dumps(policy))
-    except Exception as error:
-        raise InputError(
-            f"policy {card.name!r} cannot be sent from process to process ({type(error).__name__}: {error}): "
-            f"keep files, locks and connections out of it, or run it here (isolate=False)."
-        ) from error
+    pickled = sendable(f"policy {card.name!r}", policy)
     teams = random_teams(1, card.n_agents, card.architecture.obs_dim)
     states = torch.cat([teams, policy.initial_state(card.n_agents)[None]], dim=-1)
     task = known_task(card.task)
-    factory = b"" if task.origin is None else bytes(cloudpickle.dumps(task.factory))
+    factory = b"" if task.origin is None else sendable(f"task {card.task!r}", task.factory)
     header = {
         "task_bytes": len(factory),
         "card": card.model_dump_json(),

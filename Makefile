@@ -26,7 +26,7 @@ SCORE_OPTIONS ?= --policy default --explainer attention $(OTHERS:%=--explainer %
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv score larger quick test lint type rescore board docs bench wheel-test
+.PHONY: help venv score larger quick test suite lint type rescore board docs bench wheel-test
 
 help:  ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -44,7 +44,9 @@ score: $(STAMP)  ## Score three explainers on each cell's best policy; ALL=1: al
 quick: $(STAMP)  ## Run the tests that take half a minute together
 	$(BIN)/python -m pytest --numprocesses 2 -m "$(QUICK)"
 
-test: lint type  ## Run all checks: lint, types and the whole test suite
+test: lint type suite  ## Run all checks: lint, types and the whole test suite
+
+suite: $(STAMP)
 	$(BIN)/python -m pytest --numprocesses 2
 
 test-pythons:  ## Test on every Python at hand what needs no torch; WHOLE=1: everything

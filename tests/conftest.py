@@ -36,7 +36,7 @@ MARKED = {
     "bench/parallel/test_clusters.py": "cluster",
     "benchmarks": "benchmark",
 }
-# Third-party explainers run in processes of their own here; elsewhere in this process, which saves 4 s each.
+# Third-party code runs in processes of its own here; elsewhere in this process, which saves 4 s each.
 IN_OWN_PROCESSES = (
     "bench/isolation", "bench/plugins", "bench/scoring/test_piece_keys.py",
     "bench/scoring/test_sweep.py", "bench/submission", "docs/test_readme.py", "test_places.py",
@@ -136,16 +136,18 @@ parser = functools.cache(typer.main.get_command)  # a program builds its parser 
 
 
 @pytest.fixture(autouse=True)
-def explainers_in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def third_party_code_in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if any(request.path.is_relative_to(TESTS / place) for place in IN_OWN_PROCESSES):
         return
     if "torch" not in sys.modules:  # a light installation, or a test that loads little
         return
     from xmarl_bench.plugins import registry
-    from xmarl_bench.scoring import score
+    from xmarl_bench.scoring import score, selection
 
     for module in (registry, score):
         monkeypatch.setattr(module, "ask_explainer", lambda name, _=None: registry.find_explainer(name))
+    for scoring in (score, selection):
+        monkeypatch.setattr(scoring, "Isolation", lambda _: None)
     monkeypatch.setattr(score, "isolated", lambda explainer, _=None: explainer)
     monkeypatch.setattr(score, "is_shipped_code", lambda _: True)
 

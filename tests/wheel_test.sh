@@ -58,7 +58,7 @@ PYTHON
 "$bin/xmarl-bench" board serve scores --port 0 > address &
 server=$!
 trap 'kill "$server" 2>/dev/null || true; rm -rf "$folder"' EXIT
-for _ in $(seq 100); do [[ -s address ]] && break; sleep 0.1; done
+for _ in $(seq 600); do [[ -s address ]] && break; sleep 0.1; done
 "$bin/python" - <<'PYTHON'
 from pathlib import Path
 from urllib.request import urlopen

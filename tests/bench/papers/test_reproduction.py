@@ -26,7 +26,7 @@ from xmarl_bench.papers.kailas2025.reproduction import (
     sentence,
     survival,
 )
-from xmarl_bench.papers.kailas2025.results import judged_record
+from xmarl_bench.papers.kailas2025.results import SCHEMA, judged_record
 from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy.bundle import load_card
 
@@ -102,7 +102,8 @@ def test_survival_counts_the_lenses(level: float, kind: str) -> None:
 def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     judged = [record(0.3)]
     results = {
-        "schema": 1, "study": "main", "title": "A title", "policies": [], "missing": ["passage, N = 5"],
+        "schema": SCHEMA, "study": "main", "title": "A title", "families": ["paper"], "policies": [],
+        "missing": ["passage, N = 5"],
         "protocol": {"id": PROTOCOL, "episodes": 4, "timesteps": 3, "seeds": [0, 3]}, "performance": [],
         "ledger": judged, "beyond": [], "lenses": [{"name": "a lens", "text": "seen so", "claims": judged}],
     }  # fmt: skip
@@ -111,11 +112,12 @@ def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     main([tmp_path / "study"], tmp_path)
     page = (tmp_path / PAGE).read_text()
     assert json.loads((tmp_path / DATA).read_text()) == [json.loads(json.dumps(findings_of(results)))]
-    assert "## A title" in page
+    assert "## In short (family `paper`)" in page
+    assert "## A title (family `paper`)" in page
     assert "### Held: 1 of 1" in page
     assert "Attention is better: **survives**, held through the one lens that applies to it" in page
     assert "Missing: passage, N = 5." in page
-    assert "xmarl-bench study main --jobs 2 --episodes 4 --timesteps 3\n" in page
+    assert "xmarl-bench study main --jobs 2 --policy paper --episodes 4 --timesteps 3\n" in page
     with pytest.raises(InputError, match="run `xmarl-bench study` first"):
         main([tmp_path / "none"], tmp_path)
 

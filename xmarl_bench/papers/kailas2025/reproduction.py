@@ -40,7 +40,7 @@ HEADLINES = [f"main-{name}" for name in (
     "attention-gef", "attention-fid-delta", "graphmask-fid-minus", "graphmask-fid-plus", "graphmask-gef",
     "gnn-mixed", "success", "distance",
 )]  # fmt: skip
-KEPT = ("schema", "study", "title", "protocol", "policies", "missing", "performance")
+KEPT = ("schema", "study", "title", "protocol", "families", "policies", "missing", "performance")
 CONTRAST = (
     "metric", "relation", "compares", "a_mean", "b_mean", "difference", "interval", "p_adjusted", "effect",
     "n_policies", "n_episodes", "verdict",
@@ -68,6 +68,8 @@ def page_of(findings: list[Json]) -> str:
     studies = [
         {
             **each,
+            "title": " ".join([each["title"], *_of_family(each)]),
+            "headline": " ".join(["In short", *_of_family(each)]),
             "groups": [(v.value, [c for c in each["ledger"] if c["verdict"] == v]) for v in Verdict],
             "survival": survival(each),
             "lens_table": lens_table(each).markdown(),
@@ -155,9 +157,17 @@ _COUNTED = (
 def command(findings: Json) -> str:
     """The command that scores the same states again."""
     protocol = findings["protocol"]
-    options = [f"--episodes {protocol['episodes']}"] if protocol["episodes"] != Sampling.episodes else []
+    # The name of a family means its finished policies.
+    finished = all(policy["percent"] is None for policy in findings["policies"])
+    options = [f"--policy {family}" for family in findings["families"] if finished]
+    options += [f"--episodes {protocol['episodes']}"] if protocol["episodes"] != Sampling.episodes else []
     options += [] if protocol["timesteps"] is None else [f"--timesteps {protocol['timesteps']}"]
     return " ".join(["xmarl-bench study", findings["study"], "--jobs 2", *options])
+
+
+def _of_family(findings: Json) -> list[str]:
+    """The end of a heading; empty if the policies are of several families."""
+    return [f"(family `{family}`)" for family in findings["families"] if len(findings["families"]) == 1]
 
 
 def _played(findings: Json) -> bool:

@@ -22,7 +22,7 @@ from xmarl_bench.papers.kailas2025.plan import Study
 from xmarl_bench.papers.kailas2025.samples import Samples, percent_of
 from xmarl_bench.policy import PolicyCard
 
-SCHEMA = 1
+SCHEMA = 2
 # Metrics of the tables.
 QUALITY = (
     "fid_delta", "gef", "fid_plus", "fid_minus", "comm_budgeted_fidelity", "budgeted_fidelity",
@@ -56,6 +56,7 @@ def results_of(data: StudyData) -> Json:
             "seeds": [protocol.seeds[0], protocol.seeds[-1]],
         },
         "explainers": _explainers(data),
+        "families": sorted({card.family or "none" for card, _ in data.pairs}),
         "policies": _policies(data),
         "missing": missing(data),
         "quality": quality(data),

@@ -22,11 +22,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 from matplotlib.axes import Axes
+from scipy.stats import spearmanr
 from xmarl_envs import TASKS
 
 from xmarl_bench.board.answer import answer_of, answer_on_term, difference, effect_of
 from xmarl_bench.board.regulariser import compared, families_of, kind_of, score_of, values_of
 from xmarl_bench.board.scores import Scores
+from xmarl_bench.counted import counted
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.statistics import Difference
 from xmarl_bench.metrics.table import ORDER, UNDER_ABSENCES
@@ -164,8 +166,9 @@ def attention_is_learnt(scores: Scores) -> Finding:
         series = zip(("attention", *controls), "oD^", (BLUE, ORANGE, GREY), strict=True)
         for name, marker, colour in series:
             axis.plot(scores.of_policies(ORDER, name), marker, color=colour, label=name)
-        names = [re.sub("-residual|-seed0", "", policy["name"]) for policy in scores.policies]
-        axis.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+        cells = [re.sub("-residual|-seed[0-9]+", "", policy["name"]) for policy in scores.policies]
+        at = {cell: np.mean([k for k, each in enumerate(cells) if each == cell]) for cell in cells}
+        axis.set_xticks(list(at.values()), list(at), rotation=90, fontsize=7)
         axis.axhline(0, color="black", linewidth=0.6)
         axis.set_ylabel("message fidelity")
         axis.legend(fontsize=8, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
@@ -229,9 +232,30 @@ def regulariser(scores: Scores) -> Finding:
 FINDINGS = who_leads, fid_delta_misleads, absence_decides, attention_is_learnt, defaults_fail, regulariser
 
 
+def by_family(scores: Scores) -> str:
+    """Whether both families order the explainers alike."""
+    kinds = [kind_of(policy["architecture"]) for policy in scores.policies]
+    means = {
+        family: {
+            name: float(np.nanmean(np.array(scores.of_policies(ORDER, name))[np.array(kinds) == family]))
+            for name in scores.explainers
+        }
+        for family in sorted(set(kinds))
+    }
+    said = "; ".join(
+        f"in `{family}`, {counted(kinds.count(family), 'policy')}, `{max(of, key=of.__getitem__)}` is first "
+        f"({max(of.values()):.2f}) and `attention` has {of['attention']:.2f}"
+        for family, of in means.items()
+    )
+    end = "Other families are open."
+    if len(means) == 2:
+        one, other = (list(of.values()) for of in means.values())
+        end = f"Spearman's correlation of both orders is {spearmanr(one, other)[0]:.2f}."
+    return f"{said[0].upper()}{said[1:]}. {end}"
+
+
 def undecided(scores: Scores) -> list[str]:
     """What the policies of the board cannot answer."""
-    families = sorted({kind_of(policy["architecture"]) for policy in scores.policies})
     kinds = Counter(
         (each["task"], each["n_agents"], bool(each["attention_entropy"])) for each in scores.policies
     )
@@ -240,12 +264,9 @@ def undecided(scores: Scores) -> list[str]:
         f"- **Runs.** {len(scores.policies)} policies in {len(kinds)} of {N_KINDS} cells, with and without "
         f"the term, at most {most} training run{'s' * (most > 1)} each. How far runs of "
         f"one cell spread is " + ("not known." if most == 1 else "known for some cells only."),
-        f"- **Families.** All policies are of the family `{'`, `'.join(families)}`.",
         "- **One dose.** On the board each task has one weight of the entropy term. "
         "[dose.md](dose.md) has several, of one cell.",
     ]
-    if "paper" not in families:
-        lines[1] += " Whether the answers hold for the paper's own architecture is open."
     return lines
 
 
@@ -259,7 +280,7 @@ def page(findings: Sequence[Finding], scores: Scores) -> str:
     )
     environment.filters["wrapped"] = wrapped
     template = environment.from_string((ROOT / "docs" / "findings.md.jinja").read_text(encoding="utf-8"))
-    return template.render(findings=findings, undecided=undecided(scores))
+    return template.render(findings=findings, undecided=undecided(scores), by_family=by_family(scores))
 
 
 def draw(finding: Finding, path: Path) -> None:

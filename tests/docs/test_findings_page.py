@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,23 @@ def test_the_page_is_that_of_the_board(script: dict[str, Any]) -> None:
     assert (DOCS / "findings.md").read_text(encoding="utf-8") == page
     for each in findings:
         assert (DOCS / f"findings-{each.name}.png").is_file()
+
+
+def test_families_are_compared_if_there_are_two(script: dict[str, Any]) -> None:
+    of_one = scores({"attention": 0.9, "occlusion": 0.5})
+    assert script["by_family"](of_one).endswith("Other families are open.")
+    architecture = {**of_one.policies[0]["architecture"], "residual": True}
+    of_two = replace(
+        of_one,
+        policies=[
+            of_one.policies[0],
+            *({**each, "architecture": architecture} for each in of_one.policies[1:]),
+        ],
+    )
+    said = script["by_family"](of_two)
+    assert said.startswith("In `paper`, 1 policy, `attention` is first (0.92)")
+    assert "in `residual`, 3 policies, `attention` is first (0.91)" in said
+    assert said.endswith("Spearman's correlation of both orders is 1.00.")
 
 
 def test_a_clear_winner_leads_surely_and_a_tie_does_not(script: dict[str, Any]) -> None:

@@ -108,7 +108,8 @@ def _unreadable(error: OSError) -> None:
 
 
 def _zip(path: Path) -> Iterator[tuple[str, bytes]]:
-    if path.stat().st_size > MAX_ZIP:
+    size = path.stat().st_size
+    if size > MAX_ZIP:
         raise ValueError(f"it holds more than {MAX_ZIP} bytes.")
     try:
         with path.open("rb") as file:
@@ -127,6 +128,8 @@ def _zip(path: Path) -> Iterator[tuple[str, bytes]]:
                         f"its {shown(name)} is encrypted, or compressed with another method than deflate: "
                         f"pack it again."
                     )
+                if member.compress_size > size:  # older Pythons would read what follows
+                    raise zipfile.BadZipFile(f"{shown(name)} claims more bytes than the zip has")
                 most = limit(name)
                 with archive.open(member) as opened:
                     yield _checked(name, opened.read(most + 1))

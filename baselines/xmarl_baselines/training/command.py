@@ -223,7 +223,8 @@ def _command(run: Run) -> str:
     """The command that trains this policy again."""
     if planned_runs().get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"
-    usual, start = recipe_for(run.recipe.task), run.recipe.attention_start
+    usual = recipe_for(run.recipe.task, family=run.recipe.family)
+    start = run.recipe.attention_start
     if run.start_from is not None:
         usual = usual.fine_tuning()
     return (

@@ -139,8 +139,19 @@ RECIPES: dict[str, Recipe] = {
 }
 
 
+# Without the residual, passage's penalties keep the team from the gap (0.02 success after 9.6 M frames), and
+# discovery learns half as fast.
+OF_FAMILY_PAPER: dict[str, dict[str, Any]] = {
+    "blind_passage_v0": {
+        "shaping": Shaping(scale=0.05, agent_penalty=3.0, wall_penalty=0.5, through_gap=True)
+    },
+    "blind_discovery_v0": {"n_epochs": 4},
+}
+
+
 def recipe_for(task: str, **changes: Any) -> Recipe:
-    """The recipe of a task, with fields changed. Raises InputError for an unknown task."""
+    """The recipe of a task and family, with fields changed. Raises InputError for an unknown task."""
     if task not in RECIPES:
         raise InputError(f"no training recipe for task {task!r}: choose one of {', '.join(RECIPES)}.")
-    return replace(RECIPES[task], **changes)
+    of_family = OF_FAMILY_PAPER.get(task, {}) if changes.get("family") == "paper" else {}
+    return replace(RECIPES[task], **{**of_family, **changes})

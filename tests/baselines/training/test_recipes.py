@@ -46,6 +46,13 @@ def test_every_task_has_a_recipe_of_the_first_family() -> None:
     assert {recipe.family for recipe in RECIPES.values()} == {FAMILIES[0]} == {"residual"}
 
 
+def test_family_paper_has_penalties_and_epochs_of_its_own() -> None:
+    passage, discovery = (recipe_for(f"blind_{task}_v0", family="paper") for task in ("passage", "discovery"))
+    assert passage.shaping.agent_penalty < recipe_for("blind_passage_v0").shaping.agent_penalty
+    assert discovery.n_epochs == 2 * recipe_for("blind_discovery_v0").n_epochs
+    assert recipe_for("blind_passage_v0", family="paper", shaping=Shaping()).shaping == Shaping()
+
+
 def test_names_of_runs_state_their_settings() -> None:
     recipe = recipe_for("blind_navigation_v0")
     assert Run(recipe).name == "navigation-n3-residual-lambda0-seed0"

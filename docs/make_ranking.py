@@ -44,6 +44,8 @@ def section(ranking: dict[str, Any]) -> str:
         if row["control"] and row["explainer"] not in CONTROLS:
             continue
         name = f"{CONTROLS[row['explainer']]}, a control" if row["control"] else row["explainer"]
+        if not row["control"] and row["rank"] is None:
+            name += f", not ranked: {row['reason']}"
         interval = "" if row["interval"] is None else " [{:.2f}, {:.2f}]".format(*row["interval"])
         lines.append(f"| {name} | {row['value']:.2f}{interval} | {row['means']['fid_delta']:.2f} |")
     return "\n".join(lines) + "\n"

@@ -28,6 +28,9 @@ from xmarl_baselines.training.schedules import ramp
 from xmarl_baselines.training.team_buffer import TeamRolloutBuffer, TeamSamples
 from xmarl_baselines.training.team_policy import TeamPolicy
 
+# Of a new probability to that when the action was taken. The ratio of a saturated action can pass float32's
+# largest number, which would make every weight NaN.
+MAX_LOG_RATIO = 20.0
 AGENTS_AT_ONCE = 3072  # rows per part of a minibatch: the fastest of 384 to 16384 on one core
 
 
@@ -130,7 +133,7 @@ class MAPPO(PPO):
         clip = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
         evaluation = policy.evaluate(samples.observations, samples.actions)
         log_ratio = evaluation.log_prob - samples.log_probs
-        ratio = log_ratio.exp()
+        ratio = log_ratio.clamp(max=MAX_LOG_RATIO).exp()
         surrogate = torch.min(
             samples.advantages * ratio, samples.advantages * ratio.clamp(1.0 - clip, 1.0 + clip)
         )

@@ -67,6 +67,18 @@ def test_advantages_are_gae_for_each_agent() -> None:
         following, value = 1.0 - buffer.episode_starts[t, team], buffer.values[t, team, agent]
 
 
+def test_an_action_that_became_far_likelier_leaves_weights_finite() -> None:
+    """Its ratio would be infinite, which a negative advantage does not clip."""
+    model = build(Run(small()), seed=0)
+    model.learn(160)
+    samples = next(iter(model.rollout_buffer.minibatches(40, True)))
+    samples.log_probs[0] -= 1e4
+    samples.advantages[0] = -1.0
+    measured = model._update(samples)
+    assert np.isfinite(list(measured.values())).all()
+    assert all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters())
+
+
 def test_attention_entropy_falls_under_a_large_lambda() -> None:
     def entropy(weight: float) -> float:
         recipe = small(frames=4800, n_epochs=4, attention_start=0.0, attention_ramp=0.0, learning_rate=3e-3)

@@ -216,12 +216,16 @@ def regulariser(scores: Scores) -> Finding:
         text += f" Attention entropy changes by {difference(entropy)} nats, success by {difference(success)}."
 
     def draw(axis: Axes) -> None:
+        styles = dict(zip(sorted(TASKS), zip("o^s", (BLUE, ORANGE, GREEN), strict=True), strict=True))
         for family, *each in values_of(families, attention):
-            axis.plot(each, "o-", color=BLUE if each[1] >= each[0] else ORANGE)
-            label = f"{family['task'].split('_')[1]} N = {family['n_agents']}"
-            axis.annotate(label, (1, each[1]), xytext=(7, -3), textcoords="offset points", fontsize=8)
+            (marker, colour), task = styles[family["task"]], family["task"].split("_")[1]
+            axis.plot(each, f"{marker}-", color=colour, label=task)
         axis.set_xticks([0, 1], ["without the term", "with it"])
-        axis.set_xlim(-0.2, 1.7)
+        axis.set_xlim(-0.2, 1.2)
+        named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+        axis.legend(
+            named.values(), named, fontsize=8, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), frameon=False
+        )
         axis.set_ylabel("message fidelity of attention")
 
     effect = "may or may not change" if gain is None else effect_of(gain)

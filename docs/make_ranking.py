@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import json
 import textwrap
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from xmarl_bench.board.answer import answer_of, gamed_by
-from xmarl_bench.board.scores import overall_ranking
+from xmarl_bench.board.answer import answer_of, answer_on_term, gamed_by
+from xmarl_bench.board.regulariser import compared, families_of, score_of
+from xmarl_bench.board.scores import Scores, overall_ranking
 from xmarl_bench.counted import counted
 
 ROOT = Path(__file__).parent.parent
@@ -25,9 +27,12 @@ CONTROLS = {
 }
 
 
-def answer(ranking: dict[str, Any]) -> str:
-    """Who leads, how surely, who is no better than a control, and what the mask of ones gets."""
-    text = " ".join([*answer_of(ranking), gamed_by(ranking["rows"])])
+def answer(board: dict[str, Any]) -> str:
+    """Who leads, how surely, who is no better than a control, and what the mask of ones and the term do."""
+    scores = Scores.of(board)
+    gain = compared(families_of(scores.tables), partial(score_of, explainer="attention"))
+    rows = scores.ranking["rows"]
+    text = " ".join([*answer_of(scores.ranking), gamed_by(rows), answer_on_term("attention", gain)])
     return "\n".join(textwrap.wrap(text, 118, break_on_hyphens=False)) + "\n"
 
 
@@ -54,7 +59,7 @@ def section(ranking: dict[str, Any]) -> str:
 def page(text: str, leaderboard: dict[str, Any]) -> str:
     """The README with its answer and its ranking, over all tasks and team sizes."""
     ranking = overall_ranking(leaderboard)
-    for name, part in (("answer", answer(ranking)), ("ranking", section(ranking))):
+    for name, part in (("answer", answer(leaderboard)), ("ranking", section(ranking))):
         begin, end = f"<!-- {name}:begin -->\n", f"<!-- {name}:end -->"
         text = text.split(begin)[0] + begin + part + end + text.split(end)[1]
     return text

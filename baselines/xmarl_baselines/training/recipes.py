@@ -139,8 +139,8 @@ RECIPES: dict[str, Recipe] = {
 }
 
 
-# Without the residual, passage's penalties keep the team from the gap (0.02 success after 9.6 M frames), and two
-# epochs leave discovery at 0.36.
+# Without the residual, passage's penalties keep the team from the gap (0.02 success after 9.6 M frames), and
+# two epochs leave discovery at 0.36.
 OF_FAMILY_PAPER: dict[str, dict[str, Any]] = {
     "blind_passage_v0": {
         "shaping": Shaping(scale=0.05, agent_penalty=3.0, wall_penalty=0.5, through_gap=True)

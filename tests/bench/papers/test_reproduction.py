@@ -117,6 +117,7 @@ def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     assert "### Held: 1 of 1" in page
     assert "Attention is better: **survives**, held through the one lens that applies to it" in page
     assert "Missing: passage, N = 5." in page
+    assert "- Larger teams than in training: navigation: `xmarl-bench study zero-shot`\n\n**How" in page
     assert "xmarl-bench study main --jobs 2 --policy paper --episodes 4 --timesteps 3\n" in page
     with pytest.raises(InputError, match="run `xmarl-bench study` first"):
         main([tmp_path / "none"], tmp_path)

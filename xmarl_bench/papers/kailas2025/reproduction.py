@@ -20,6 +20,7 @@ from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.errors import InputError
 from xmarl_bench.papers.kailas2025.ledger import Verdict
 from xmarl_bench.papers.kailas2025.lenses import BEHAVIOUR
+from xmarl_bench.papers.kailas2025.plan import STUDIES
 from xmarl_bench.papers.kailas2025.results import SCHEMA
 from xmarl_bench.papers.kailas2025.tables import (
     METRIC_NAMES,
@@ -83,6 +84,9 @@ def page_of(findings: list[Json]) -> str:
     ]
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         studies=studies,
+        not_run=[
+            study for study in STUDIES.values() if study.name not in {each["study"] for each in findings}
+        ],
         outdated=", ".join(sorted({each["protocol"]["id"] for each in findings} - {PROTOCOL})),
     )
 

@@ -48,7 +48,7 @@ def test_every_task_has_a_recipe_of_the_first_family() -> None:
 
 def test_family_paper_has_penalties_and_epochs_of_its_own() -> None:
     passage, discovery = (recipe_for(f"blind_{task}_v0", family="paper") for task in ("passage", "discovery"))
-    assert passage.shaping.agent_penalty < recipe_for("blind_passage_v0").shaping.agent_penalty
+    assert (passage.shaping.agent_penalty, recipe_for("blind_passage_v0").shaping.agent_penalty) == (3.0, 6.0)
     assert discovery.n_epochs == 2 * recipe_for("blind_discovery_v0").n_epochs
     assert recipe_for("blind_passage_v0", family="paper", shaping=Shaping()).shaping == Shaping()
 

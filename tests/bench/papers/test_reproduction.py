@@ -22,6 +22,7 @@ from xmarl_bench.papers.kailas2025.reproduction import (
     findings_of,
     main,
     numbers,
+    over_all,
     page_of,
     sentence,
     survival,
@@ -85,6 +86,13 @@ def test_a_sentence_states_its_place_and_numbers() -> None:
     assert "effect +" in text
     assert text.endswith(", p < 0.001, 12 policies.")
     assert numbers(record(0.0)).startswith("of 2 cells 2 not decided")
+
+
+@pytest.mark.parametrize(("level", "said"), [(0.3, "held: FidDelta +0.3"), (-0.3, "not held: FidDelta -0.3")])
+def test_all_policies_together_are_judged_too(level: float, said: str) -> None:
+    text = over_all(record(level))
+    assert text.startswith(said)
+    assert text.endswith("], 12 policies")
 
 
 @pytest.mark.parametrize(("level", "kind"), [(0.3, "held"), (-0.3, "reversed"), (0.0, "open")])

@@ -18,7 +18,8 @@ from jinja2 import Environment, StrictUndefined
 from xmarl_bench.counted import counted
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.errors import InputError
-from xmarl_bench.papers.kailas2025.ledger import Verdict
+from xmarl_bench.papers.kailas2025.claims import Combine
+from xmarl_bench.papers.kailas2025.ledger import Verdict, combine
 from xmarl_bench.papers.kailas2025.lenses import BEHAVIOUR
 from xmarl_bench.papers.kailas2025.plan import STUDIES
 from xmarl_bench.papers.kailas2025.results import SCHEMA
@@ -117,7 +118,10 @@ def survival(findings: Json) -> list[Json]:
 
 def headlines(findings: Json) -> str:
     """The main conclusions as a Markdown table."""
-    lines = ["| conclusion | on our policies | through other explainers and metrics |", "|---|---|---|"]
+    lines = [
+        "| conclusion | cell by cell | over all policies | through other explainers and metrics |",
+        "|---|---|---|---|",
+    ]
     for claim in findings["ledger"]:
         if claim["id"] in HEADLINES:
             seen = through_lenses(findings, claim)
@@ -127,8 +131,18 @@ def headlines(findings: Json) -> str:
                 for key, word in (("reversed", "reversed"), ("open", "not decided"))
                 if seen[key]
             ]
-            lines.append(f"| {claim['text']} | **{claim['verdict']}** | {'; '.join(parts) or '-'} |")
+            cells = claim["text"], f"**{claim['verdict']}**", over_all(claim), "; ".join(parts) or "-"
+            lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def over_all(claim: Json) -> str:
+    """The verdict over all policies together, and the comparison that decides it."""
+    overall: list[Json] = claim["overall"]
+    verdict = combine([Verdict(each["verdict"]) for each in overall], Combine.ALL)
+    shown = next((each for each in overall if each["verdict"] == verdict), overall[0])
+    runs = counted(shown["n_policies"], "policy")
+    return f"{verdict}: {METRIC_NAMES[shown['metric']]} {difference(shown)}, {runs}"
 
 
 def sentence(claim: Json) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from xmarl_bench.entry.schema import Provenance
 from xmarl_bench.origin.installed import harness_version, package_version
+from xmarl_bench.records.field_types import MOST_TEXT
 
 PACKAGES = ("loky", "numpy", "pettingzoo", "pydantic", "pymunk", "safetensors", "torch", "torch-geometric")
 # What a sweep and `board build` write: an interrupted sweep goes on with unchanged sources.
@@ -40,10 +41,16 @@ def provenance(started: str, jobs: int, device: str | None = None) -> Provenance
         device=device,
         threads=1,
         jobs=jobs,
-        command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        command=_command(),
         started=started,
         finished=now(),
     )
+
+
+def _command() -> str:
+    """The command of this process; of one with hundreds of files, what an entry has room for."""
+    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    return command if len(command) <= MOST_TEXT else f"{command[: MOST_TEXT - 4]} ..."
 
 
 @cache

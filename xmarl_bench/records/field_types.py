@@ -47,10 +47,11 @@ def _one_line(name: str) -> str:
     return name
 
 
+MOST_TEXT = 10_000  # characters
 # The name of a person or group, as the board shows it.
-Person = Annotated[str, Field(max_length=10_000), AfterValidator(_one_line)]
+Person = Annotated[str, Field(max_length=MOST_TEXT), AfterValidator(_one_line)]
 Link = Annotated[str, Field(max_length=2000, pattern=r"^https?://[!-~]+$")]
-Text = Annotated[str, Field(max_length=10_000)]
+Text = Annotated[str, Field(max_length=MOST_TEXT)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Agents = Annotated[int, Field(ge=1, le=1024)]
 Count = Annotated[int, Field(ge=0, le=10**9)]

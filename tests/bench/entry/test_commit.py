@@ -1,13 +1,14 @@
-"""The commit in an entry's provenance, and what counts as a change of it."""
+"""Commit and command in an entry's provenance, and what counts as a change of the commit."""
 
 from __future__ import annotations
 
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from xmarl_bench.entry.provenance import commit_of
+from xmarl_bench.entry.provenance import commit_of, provenance
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -33,3 +34,13 @@ def test_a_tree_is_dirty_if_sources_changed_and_not_if_entries_were_written(tmp_
     source.write_text("2")
     assert commit_of(source) == (commit, True)
     assert commit_of(tmp_path / "new.py") == (None, None)  # a file that the repository does not hold
+
+
+def test_a_command_with_hundreds_of_files_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["/bin/xmarl-bench", "verify", "an entry.json"])
+    assert provenance("", 1).command == "xmarl-bench verify 'an entry.json'"
+    monkeypatch.setattr(sys, "argv", ["xmarl-bench", "verify", *(f"entries/{k}.json" for k in range(1000))])
+    command = provenance("", 1).command
+    assert len(command) == 10_000
+    assert command.startswith("xmarl-bench verify entries/0.json entries/1.json ")
+    assert command.endswith(" ...")

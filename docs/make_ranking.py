@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import json
 import textwrap
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from xmarl_bench.board.answer import answer_of, answer_on_term, gamed_by
-from xmarl_bench.board.regulariser import compared, families_of, score_of
+from xmarl_bench.board.regulariser import families_of, regulariser_of
 from xmarl_bench.board.scores import Scores, overall_ranking
 from xmarl_bench.counted import counted
 
@@ -30,7 +29,7 @@ CONTROLS = {
 def answer(board: dict[str, Any]) -> str:
     """Who leads, how surely, who is no better than a control, and what the mask of ones and the term do."""
     scores = Scores.of(board)
-    gain = compared(families_of(scores.tables), partial(score_of, explainer="attention"))
+    gain = regulariser_of(families_of(scores.tables)).get("attention")
     rows = scores.ranking["rows"]
     text = " ".join([*answer_of(scores.ranking), gamed_by(rows), answer_on_term("attention", gain)])
     return "\n".join(textwrap.wrap(text, 118, break_on_hyphens=False)) + "\n"

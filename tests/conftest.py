@@ -144,11 +144,9 @@ def third_party_code_in_this_process(request: pytest.FixtureRequest, monkeypatch
     from xmarl_bench.plugins import registry
     from xmarl_bench.scoring import score, selection
 
-    for module in (registry, score):
-        monkeypatch.setattr(module, "ask_explainer", lambda name, _=None: registry.find_explainer(name))
+    monkeypatch.setattr(registry, "ask_explainer", lambda name, _=None: registry.find_explainer(name))
     for scoring in (score, selection):
         monkeypatch.setattr(scoring, "Isolation", lambda _: None)
-    monkeypatch.setattr(score, "isolated", lambda explainer, _=None: explainer)
     monkeypatch.setattr(score, "is_shipped_code", lambda _: True)
 
 

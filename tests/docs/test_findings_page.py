@@ -59,14 +59,8 @@ def test_families_are_compared_if_there_are_two(script: dict[str, Any]) -> None:
     of_one = scores({"attention": 0.9, "occlusion": 0.5})
     assert script["by_family"](of_one).endswith("Other families are open.")
     architecture = {**of_one.policies[0]["architecture"], "residual": True}
-    of_two = replace(
-        of_one,
-        policies=[
-            of_one.policies[0],
-            *({**each, "architecture": architecture} for each in of_one.policies[1:]),
-        ],
-    )
-    said = script["by_family"](of_two)
+    others = [{**each, "architecture": architecture} for each in of_one.policies[1:]]
+    said = script["by_family"](replace(of_one, policies=[of_one.policies[0], *others]))
     assert said.startswith("In `paper`, 1 policy, `attention` is first (0.92)")
     assert "in `residual`, 3 policies, `attention` is first (0.91)" in said
     assert said.endswith("Spearman's correlation of both orders is 1.00.")

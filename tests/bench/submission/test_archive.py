@@ -111,14 +111,12 @@ def test_a_zip_with_false_sizes_or_checksums_is_refused(
             read_files(path)
     directory = data.rfind(b"PK\x01\x02")
     claim = struct.pack("<I", 2**30)
-    path.write_bytes(
-        data[: directory + 20] + claim + data[directory + 24 :]
-    )  # compressed size of the last file
+    # The compressed size of the last file.
+    path.write_bytes(data[: directory + 20] + claim + data[directory + 24 :])
     with pytest.raises(InputError, match="claims more bytes than the zip has"):
         read_files(path)
-    path.write_bytes(
-        data[: directory + 24] + claim + data[directory + 28 :]
-    )  # its full size: reads what is there
+    # Its full size: reads what is there.
+    path.write_bytes(data[: directory + 24] + claim + data[directory + 28 :])
     assert read_files(path) == dict(files)
     path.write_bytes(data[: directory + 16] + b"\0\0\0\0" + data[directory + 20 :])
     with pytest.raises(InputError, match="Bad CRC-32"):

@@ -45,6 +45,7 @@ def results_of(data: StudyData) -> Json:
     study, samples = data.study, data.samples
     judge = Judge(samples)
     protocol = data.pairs[0][1].protocol
+    families = {card.family for card, _ in data.pairs}
     return {
         "schema": SCHEMA,
         "study": study.name,
@@ -56,7 +57,7 @@ def results_of(data: StudyData) -> Json:
             "seeds": [protocol.seeds[0], protocol.seeds[-1]],
         },
         "explainers": _explainers(data),
-        "families": sorted({card.family or "none" for card, _ in data.pairs}),
+        "families": [] if None in families else sorted(map(str, families)),  # none if one has no family
         "policies": _policies(data),
         "missing": missing(data),
         "quality": quality(data),

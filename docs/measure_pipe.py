@@ -71,6 +71,14 @@ def shown(what: str, n_agents: int, seconds: float, timesteps: int) -> None:
     print(f"{what}, {n_agents} agents: {seconds * 1e3:.1f} ms a question, {each}", flush=True)
 
 
+def starting(policy: Policy, observations: Tensor) -> None:
+    for which in ("first", "second"):
+        before = _cpu_seconds()
+        run_explainer(isolated(as_explainer(ones)), policy, observations, 0)
+        print(f"process of the {which} explainer: {_cpu_seconds() - before:.2f} s of CPU time", flush=True)
+    end_strangers()
+
+
 def explaining(policy: Policy, observations: Tensor, n_agents: int) -> None:
     explainer = as_explainer(ones)
     asked = (explainer, isolated(explainer))
@@ -109,6 +117,7 @@ def main() -> None:
     for n_agents, name in POLICIES.items():
         policy, card = load_policy(find_policies()[name])
         observations = torch.randn(TIMESTEPS, n_agents, card.architecture.obs_dim)
+        starting(policy, observations)
         explaining(policy, observations, n_agents)
         acting(observations, n_agents)
         playing(n_agents)

@@ -8,6 +8,10 @@ import signal
 import struct
 import sys
 import time
+from pathlib import Path
+
+import numpy
+import psutil
 
 
 def answer(**header: object) -> None:
@@ -45,7 +49,7 @@ def fork(n: int, size: int, *, busy: bool) -> None:
                     time.sleep(1)
 
 
-def main() -> None:
+def serve(_: object) -> None:
     what = os.environ["STRANGE"]
     if what == "deaf":
         answer()
@@ -73,8 +77,14 @@ def main() -> None:
         fork(2, 1, busy=True)
     if what == "told":
         answer(tmp=os.environ.get("TMPDIR"), home=os.environ.get("HOME"))
+    if what == "fork":
+        first = os.open(os.devnull, os.O_RDONLY)  # the lowest number that is free
+        answer(
+            server=psutil.Process().parent().ppid(),
+            folder=str(Path.cwd()),
+            path=sys.path,
+            descriptor=first,
+            random=numpy.random.random(),  # noqa: NPY002
+            shared="torch_geometric" in sys.modules,
+        )
     time.sleep(3600)
-
-
-if __name__ == "__main__":
-    main()

@@ -60,7 +60,8 @@ class Conversation:
     def __init__(self, source: Source) -> None:
         isolation = source.isolation
         self.source = source
-        self.process = Stranger(source.name, isolation.limits, isolation.wall, source.readable)
+        light = source.load is not None and source.load["what"] == "task"
+        self.process = Stranger(source.name, isolation.limits, isolation.wall, source.readable, light=light)
         self.policies: OrderedDict[str, None] = OrderedDict()
         self.fits: OrderedDict[str, None] = OrderedDict()
         self.declared: dict[str, Any] = {} if source.load is None else self.ask(source.load)[0]

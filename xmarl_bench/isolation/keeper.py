@@ -1,8 +1,8 @@
-"""Keeps a stranger's processes: `python -m xmarl_bench.isolation.keeper CONFIG`, started by the harness.
+"""Keeps a stranger's processes: forked by xmarl_bench.isolation.fork_server for each of them.
 
-The keeper starts the stranger's process with its own standard input and output, and ends it with everything
-that it started: when the harness ends, however it does; when the process ends; or at a limit, which holds for
-all of them together. It runs none of their code, and tells the harness how they ended.
+The keeper starts the stranger's process on the pipes that the harness gave, and ends it with everything that
+it started: when the harness ends, however it does; when the process ends; or at a limit, which holds for all
+of them together. It runs none of their code, and tells the harness how they ended.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from importlib import import_module, invalidate_caches
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import psutil
 
@@ -32,27 +33,78 @@ SUBREAPER, PARENT_DEATH = 36, 1  # options of prctl(2)
 GRACE = 5.0  # seconds that killed processes have to be gone
 
 
-def main() -> None:
-    config = json.loads(sys.argv[1])
-    harness = socket.socket(fileno=config["harness"])
+def keep(config: dict[str, Any], questions: int, answers: int, harness: int) -> None:
+    """Keep the process of a config of xmarl_bench.isolation.process until it ends."""
+    for here, there in ((questions, 0), (answers, 1)):
+        os.dup2(here, there)
+        os.close(here)
+    told = socket.socket(fileno=harness)
     limits, parent = Limits(**config["limits"]), os.getppid()
     prctl(SUBREAPER, 1)  # what the stranger's processes leave behind becomes ours
     private = Path(tempfile.mkdtemp(prefix="xmarl-bench-stranger-"))
-    environment = {**os.environ, "TMPDIR": str(private)} if config["private"] else dict(os.environ)
+    os.chdir(config["folder"])
+    os.environ.clear()
+    os.environ.update(config["environment"])
+    if config["private"]:
+        os.environ["TMPDIR"] = tempfile.tempdir = str(private)  # forks have the module and what it remembers
     if config["home"]:
-        environment["HOME"] = str(private)
+        os.environ["HOME"] = str(private)
     try:
-        process = subprocess.Popen(config["command"], env=environment)
+        process = _started(config)
         with Path(os.devnull).open("r+b") as nowhere:  # so that the pipes end with the process
             for descriptor in (0, 1):
                 os.dup2(nowhere.fileno(), descriptor)
-        limit = _wait(process, harness, parent, limits)
+        limit = _wait(process, told, parent, limits)
         code = process.poll()
         _end_all(process)
     finally:
         shutil.rmtree(private, ignore_errors=True)
     with suppress(OSError):
-        harness.sendall(json.dumps({"code": code, "limit": limit}).encode())
+        told.sendall(json.dumps({"code": code, "limit": limit}).encode())
+
+
+def _started(config: dict[str, Any]) -> Process:
+    """The stranger's process: a command behind a wall of its own, or a fork that closes itself in."""
+    if config["command"] is not None:
+        return subprocess.Popen(config["command"])
+    process_id = os.fork()
+    if process_id:
+        return Forked(process_id)
+    code = 1
+    try:
+        os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+        sys.path[:] = config["path"]
+        invalidate_caches()
+        if "numpy" in sys.modules:  # else all forks draw the same random numbers
+            sys.modules["numpy"].random.seed()
+        import_module(config["worker"]).serve(config["stranger"])
+        code = 0
+    finally:
+        os._exit(code)
+
+
+class Process(Protocol):
+    """What a keeper needs of the process it keeps."""
+
+    pid: int
+
+    def poll(self) -> int | None:
+        """The exit code, negative for a signal; None while the process runs."""
+
+
+class Forked:
+    """A fork of this process."""
+
+    def __init__(self, process_id: int) -> None:
+        self.pid = process_id
+        self._code: int | None = None
+
+    def poll(self) -> int | None:
+        if self._code is None:
+            with suppress(ChildProcessError):
+                found, status = os.waitpid(self.pid, os.WNOHANG)
+                self._code = os.waitstatus_to_exitcode(status) if found else None
+        return self._code
 
 
 def prctl(option: int, value: int) -> None:
@@ -61,9 +113,7 @@ def prctl(option: int, value: int) -> None:
         ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
 
 
-def _wait(
-    process: subprocess.Popen[bytes], harness: socket.socket, parent: int, limits: Limits
-) -> str | None:
+def _wait(process: Process, harness: socket.socket, parent: int, limits: Limits) -> str | None:
     """Wait for the end of the process or of the harness, or for a limit: returns which."""
     used, measured = Used(), time.monotonic()
     while process.poll() is None and os.getppid() == parent:
@@ -119,7 +169,7 @@ def _descendants() -> Iterator[psutil.Process]:
         yield from psutil.Process().children(recursive=True)
 
 
-def _end_all(process: subprocess.Popen[bytes]) -> None:
+def _end_all(process: Process) -> None:
     """End every process that descends from this one: stop them first, so that they start no others."""
     deadline = time.monotonic() + GRACE
     while time.monotonic() < deadline:
@@ -135,7 +185,3 @@ def _end_all(process: subprocess.Popen[bytes]) -> None:
         if not alive:
             return
         time.sleep(0.01)
-
-
-if __name__ == "__main__":
-    main()

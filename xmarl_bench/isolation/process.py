@@ -16,7 +16,6 @@ import select
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -24,12 +23,15 @@ from pathlib import Path
 from typing import Any
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.isolation.fork_server import fork_keeper
 from xmarl_bench.isolation.limits import UNIX, Limits
-from xmarl_bench.isolation.walls import Wall, environment, python_folders, walled
+from xmarl_bench.isolation.walls import Wall, environment, in_bubblewrap, python_folders, search_path
 from xmarl_bench.records.strict_json import parse_json, shown
 
 MAX_HEADER, MAX_MASKS = 1024 * 1024, 1 << 30
-KEEPER, WORKER = "xmarl_bench.isolation.keeper", "xmarl_bench.plugins.stranger"
+WORKER = "xmarl_bench.plugins.stranger"
+# What explainers and policies need, imported once for all forks.
+PRELOADED = (WORKER, "xmarl_bench.plugins.registry", "xmarl_bench.plugins.stranger_policies")
 END_SECONDS = 10.0  # for the keeper to end the stranger's processes
 PIPE_BYTES = 1 << 20
 
@@ -37,11 +39,13 @@ PIPE_BYTES = 1 << 20
 class Stranger:
     """A running process. End it with `close`, or use a `with` statement.
 
-    name: for messages. readable: files in hidden folders that it needs. Raises InputError on systems whose
-    pipes have no deadlines.
+    name: for messages. readable: files in hidden folders that it needs. light: it needs no torch. Raises
+    InputError on systems whose pipes have no deadlines.
     """
 
-    def __init__(self, name: str, limits: Limits, wall: Wall, readable: Sequence[Path] = ()) -> None:
+    def __init__(
+        self, name: str, limits: Limits, wall: Wall, readable: Sequence[Path] = (), *, light: bool = False
+    ) -> None:
         if not UNIX:
             raise InputError(
                 f"{shown(name)} is third-party code and runs in a process of its own, which "
@@ -50,44 +54,47 @@ class Stranger:
             )
         self.name, self.limits = shown(name, 200)[1:-1], limits
         folders = [*python_folders(), *readable]
-        worker = {
+        stranger = {
             "name": self.name,
             "limits": vars(limits),
             "wall": wall,
             "readable": [str(each) for each in folders],
         }
-        ours, theirs = socket.socketpair()
-        with theirs:
-            config = {
-                "command": walled(wall, [sys.executable, "-m", WORKER, json.dumps(worker)], folders),
-                "limits": vars(limits),
-                "harness": theirs.fileno(),
-                "private": wall != "bubblewrap",  # which has a folder /tmp of its own
-                "home": wall == "landlock",
-            }
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", KEEPER, json.dumps(config)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env=environment(wall),
-                pass_fds=[theirs.fileno()],
-                start_new_session=True,
-            )
-        self._keeper: socket.socket | None = ours
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._questions, self._answers = self._process.stdin.fileno(), self._process.stdout.fileno()
-        os.set_blocking(self._questions, False)
+        command = None
+        if wall == "bubblewrap":
+            command = in_bubblewrap([sys.executable, "-m", WORKER, json.dumps(stranger)], folders)
+        config = {
+            "command": command,  # None: a fork, which closes itself in
+            "preloaded": () if light or command is not None else PRELOADED,
+            "worker": WORKER,
+            "stranger": stranger,
+            "limits": vars(limits),
+            "environment": environment(wall),
+            "folder": str(Path.cwd()),
+            "path": [str(Path.cwd()), *search_path()],
+            "private": wall != "bubblewrap",  # which has a folder /tmp of its own
+            "home": wall == "landlock",
+        }
+        keeper, theirs = socket.socketpair()
+        read, questions = os.pipe()
+        answers, write = os.pipe()
+        self._keeper: socket.socket | None = keeper
+        self._questions, self._answers = os.fdopen(questions, "wb", 0), os.fdopen(answers, "rb", 0)
+        os.set_blocking(questions, False)
+        try:
+            # The process id of the keeper, parent of the stranger's process.
+            self.keeper_id = fork_keeper(wall, config, (read, write, theirs.fileno()))
+        except BaseException:
+            self._close_ends()
+            raise
+        finally:
+            theirs.close()
+            os.close(read)
+            os.close(write)
 
     @property
     def running(self) -> bool:
         return self._keeper is not None
-
-    @property
-    def keeper_id(self) -> int:
-        """The process id of the keeper, parent of the stranger's process."""
-        return self._process.pid
 
     def ask(self, question: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
         """Ask, and wait for the answer: JSON and bytes.
@@ -120,20 +127,17 @@ class Stranger:
         """End the process and everything that it started."""
         if self._keeper is None:
             return
-        with contextlib.suppress(OSError):
-            self._keeper.shutdown(socket.SHUT_RDWR)  # also for copies of the socket in forks of this process
-        self._keeper.close()
-        self._keeper = None
         try:
-            self._process.wait(END_SECONDS)
-        except subprocess.TimeoutExpired:
+            self._keeper.shutdown(socket.SHUT_WR)  # also for copies of the socket in forks of this process
+            self._keeper.settimeout(END_SECONDS)
+            while self._keeper.recv(4096):  # how it ended; then its end of the socket closes with it
+                pass
+        except TimeoutError:
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
+                os.killpg(self.keeper_id, signal.SIGKILL)
+        except OSError:
+            pass
+        self._close_ends()
 
     def __enter__(self) -> Stranger:
         return self
@@ -141,13 +145,20 @@ class Stranger:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _close_ends(self) -> None:
+        for end in (self._keeper, self._questions, self._answers):
+            if end is not None:
+                with contextlib.suppress(OSError):
+                    end.close()
+        self._keeper = None
+
     def _write(self, data: bytes, deadline: float) -> None:
         left = memoryview(data)
         while left:
             if not select.select([], [self._questions], [], max(0.0, deadline - time.monotonic()))[1]:
                 raise self._late("take its question")
             try:
-                left = left[os.write(self._questions, left[:PIPE_BYTES]) :]
+                left = left[os.write(self._questions.fileno(), left[:PIPE_BYTES]) :]
             except BlockingIOError:
                 continue
             except OSError:
@@ -158,7 +169,7 @@ class Stranger:
         while len(parts) < n_bytes:
             if not select.select([self._answers], [], [], max(0.0, deadline - time.monotonic()))[0]:
                 raise self._late("answer")
-            part = os.read(self._answers, min(n_bytes - len(parts), PIPE_BYTES))
+            part = os.read(self._answers.fileno(), min(n_bytes - len(parts), PIPE_BYTES))
             if not part:
                 raise self._ended()
             parts += part

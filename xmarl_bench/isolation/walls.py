@@ -27,7 +27,7 @@ def strongest() -> Wall:
     """The strongest wall that works here: a container often forbids what is installed in it."""
     if shutil.which("bwrap") is not None:
         try:
-            command = walled("bubblewrap", ["true"], ())
+            command = in_bubblewrap(["true"], ())
             if subprocess.run(command, capture_output=True, timeout=20).returncode == 0:
                 return "bubblewrap"
         except (OSError, subprocess.TimeoutExpired):
@@ -35,13 +35,8 @@ def strongest() -> Wall:
     return "landlock" if landlock.available() else "process"
 
 
-def walled(wall: Wall, command: Sequence[str], readable: Sequence[Path]) -> list[str]:
-    """The command behind the wall. readable: paths in hidden folders that it needs.
-
-    Behind `landlock` the process closes itself in, see xmarl_bench.isolation.landlock.
-    """
-    if wall != "bubblewrap":
-        return list(command)
+def in_bubblewrap(command: Sequence[str], readable: Sequence[Path]) -> list[str]:
+    """The command behind bubblewrap. readable: paths in hidden folders that it needs."""
     size = ("--size", str(PRIVATE_BYTES))
     hidden = [part for folder in HIDDEN if Path(folder).is_dir() for part in (*size, "--tmpfs", folder)]
     # Paths in hidden folders are bound again, outer folders first.
@@ -61,7 +56,12 @@ def walled(wall: Wall, command: Sequence[str], readable: Sequence[Path]) -> list
 def python_folders() -> list[Path]:
     """The folders of this interpreter and of the modules that it can import."""
     found = [Path(sys.prefix), Path(sys.base_prefix), Path(sys.executable).parent]
-    return found + [Path(entry).absolute() for entry in sys.path if entry and Path(entry).exists()]
+    return found + [Path(entry) for entry in search_path() if Path(entry).exists()]
+
+
+def search_path() -> list[str]:
+    """The folders that modules are imported from, absolute."""
+    return [str(Path(entry).absolute()) for entry in sys.path if entry]
 
 
 def environment(wall: Wall) -> dict[str, str]:
@@ -72,5 +72,9 @@ def environment(wall: Wall) -> dict[str, str]:
     kept = dict(os.environ)
     if wall != "process":
         kept = {name: os.environ[name] for name in ("PATH", "LANG") if name in os.environ} | {"HOME": "/tmp"}
-    path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path if entry)
-    return {**kept, "PYTHONPATH": path, "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    return {
+        **kept,
+        "PYTHONPATH": os.pathsep.join(search_path()),
+        "OMP_NUM_THREADS": "1",
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }

@@ -172,7 +172,7 @@ def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
 
 @cache  # a package does not change while it is imported, and a process takes up to five seconds
 def _places_elsewhere(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
-    with Stranger(f"plugin {plugin.name} ({plugin.value})", UNLIMITED, "process") as process:
+    with Stranger(f"plugin {plugin.name} ({plugin.value})", UNLIMITED, "process", light=True) as process:
         plain = plugin.name, plugin.value, plugin.group
         listed, _ = process.ask({"what": "policies", "plugin": plain})
     folders, code = listed.get("folders"), listed.get("code")

@@ -1,4 +1,4 @@
-"""The process of a stranger's code: `python -m xmarl_bench.plugins.stranger CONFIG`.
+"""The process of a stranger's code: a fork of its keeper, or `python -m xmarl_bench.plugins.stranger CONFIG`.
 
 Answers go to the original standard output; the code's own output is discarded.
 """
@@ -25,8 +25,8 @@ from xmarl_bench.parallel.loading import without_collector
 Answer = tuple[dict[str, Any], bytes]
 
 
-def main() -> None:
-    config = json.loads(sys.argv[1])
+def serve(config: dict[str, Any]) -> None:
+    """Answer questions from standard input until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
     questions = os.fdopen(os.dup(0), "rb")
     with Path(os.devnull).open("r+b") as nowhere:
@@ -169,4 +169,4 @@ def _send(pipe: IO[bytes], header: dict[str, Any], payload: bytes = b"") -> None
 
 
 if __name__ == "__main__":
-    main()
+    serve(json.loads(sys.argv[1]))

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -31,7 +32,7 @@ def strange(monkeypatch: pytest.MonkeyPatch) -> Strange:
 
     def start(what: str, limits: Limits = UNLIMITED) -> Stranger:
         monkeypatch.setenv("STRANGE", what)
-        return Stranger("explainer strange", limits, "process")
+        return Stranger("explainer strange", limits, "process", light=True)
 
     return start
 
@@ -57,7 +58,7 @@ def test_a_process_that_stops_reading_or_answering_is_ended_at_the_deadline(stra
             with pytest.raises(InputError, match=rf"explainer strange.* {said}"):
                 stranger.ask({"sent": sent})
             assert not stranger.running
-            assert gone(stranger.keeper_id)
+            wait_until(partial(gone, stranger.keeper_id))
             with pytest.raises(InputError, match="has ended"):
                 stranger.ask({})
 
@@ -102,7 +103,7 @@ def test_limits_hold_for_all_its_processes_together(
     with strange(what, limits) as stranger:
         with pytest.raises(InputError, match=said):
             stranger.ask({})
-        assert gone(stranger.keeper_id)
+        wait_until(partial(gone, stranger.keeper_id))
 
 
 def test_temporary_folders_are_private_and_deleted(strange: Strange) -> None:
@@ -120,7 +121,7 @@ from xmarl_bench.isolation.limits import UNLIMITED
 
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored
 process.WORKER = {WORKER!r}
-stranger = process.Stranger("strange", UNLIMITED, "process")
+stranger = process.Stranger("strange", UNLIMITED, "process", light=True)
 found, _ = stranger.ask({{}})
 if os.fork() == 0:  # a fork holds the harness's end of every pipe
     time.sleep(3600)

@@ -46,7 +46,7 @@ UNIX = {
     },
     "signal": {"SIGALRM", "SIGCHLD", "SIGHUP", "SIGKILL", "SIGPIPE", "SIGSTOP", "SIGUSR1", "alarm"},
 }  # fmt: skip
-REFUSES = {"process.py", "keeper.py"}  # run on Unix only, and say so
+REFUSES = {"fork_server.py", "process.py", "keeper.py"}  # run on Unix only, and say so
 
 
 def files(*folders: Path) -> Iterator[tuple[Path, ast.Module]]:

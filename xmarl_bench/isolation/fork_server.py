@@ -22,11 +22,10 @@ from importlib import import_module
 from typing import Any
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.isolation import keeper
 from xmarl_bench.isolation.walls import Wall, environment
 from xmarl_bench.parallel.loading import without_collector
 
-SERVER = "xmarl_bench.isolation.fork_server"
+SERVER, KEEPER = "xmarl_bench.isolation.fork_server", "xmarl_bench.isolation.keeper"
 NUMBER = struct.Struct("<Q")
 TICK = 0.1  # seconds between looks at the harness
 DESCRIPTORS = 3  # of a keeper: its questions, its answers, and its socket to the harness
@@ -94,7 +93,7 @@ def main() -> None:
                 return
             config = json.loads(_receive(harness, NUMBER.unpack(header)[0]))
             with without_collector():
-                for module in config["preloaded"]:
+                for module in (KEEPER, *config["preloaded"]):
                     import_module(module)
             gc.freeze()  # a collection would copy every page that forks share
             harness.sendall(NUMBER.pack(_fork(config, harness, descriptors)))
@@ -103,13 +102,15 @@ def main() -> None:
 
 
 def _fork(config: dict[str, Any], harness: socket.socket, descriptors: Sequence[int]) -> int:
+    from xmarl_bench.isolation.keeper import keep  # imported lazily: the harness needs no psutil
+
     process_id = os.fork()
     if process_id == 0:
         try:
             harness.close()
             os.setsid()
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-            keeper.keep(config, *descriptors)
+            keep(config, *descriptors)
         finally:
             os._exit(0)
     return process_id

@@ -41,10 +41,10 @@ def keep(config: dict[str, Any], questions: int, answers: int, harness: int) -> 
     told = socket.socket(fileno=harness)
     limits, parent = Limits(**config["limits"]), os.getppid()
     prctl(SUBREAPER, 1)  # what the stranger's processes leave behind becomes ours
-    private = Path(tempfile.mkdtemp(prefix="xmarl-bench-stranger-"))
     os.chdir(config["folder"])
     os.environ.clear()
     os.environ.update(config["environment"])
+    private = Path(tempfile.mkdtemp(prefix="xmarl-bench-stranger-"))
     if config["private"]:
         os.environ["TMPDIR"] = tempfile.tempdir = str(private)  # forks have the module and what it remembers
     if config["home"]:

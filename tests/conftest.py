@@ -36,8 +36,8 @@ MARKED = {
     "bench/parallel/test_clusters.py": "cluster",
     "benchmarks": "benchmark",
 }
-# Third-party code runs in processes of its own here; elsewhere in this process, which saves 0.2 s each and 4 s
-# for each worker, and sees plugins that a test registers.
+# Third-party code runs in processes of its own here; elsewhere in this process, which saves 0.2 s each, 4 s
+# for each worker, and sees the plugins that a test registers.
 IN_OWN_PROCESSES = (
     "bench/isolation", "bench/plugins", "bench/scoring/test_piece_keys.py",
     "bench/scoring/test_sweep.py", "bench/submission", "docs/test_readme.py", "test_places.py",

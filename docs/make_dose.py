@@ -55,6 +55,16 @@ def trend(runs: Runs, metric: str) -> Difference:
     return over_runs(taus, [[0.0] for _ in taus])
 
 
+def shown_tau(found: Difference) -> str:
+    """Student's interval of equal values has no width, and that of others may leave tau's range."""
+    if found.value is None or found.interval is None:
+        return str(found)
+    low, high = (min(1.0, max(-1.0, each)) for each in found.interval)
+    return (
+        f"{found.value:+.2f} in each seed" if low == high else f"{found.value:+.2f} [{low:+.2f}, {high:+.2f}]"
+    )
+
+
 def answer(runs: Runs) -> str:
     """The first sentences of the page."""
     found = trend(runs, "message_fidelity")
@@ -72,13 +82,13 @@ def answer(runs: Runs) -> str:
     )
     best = max(runs, key=lambda each: mean(runs[each], "message_fidelity"))
     return (
-        f"{said}: within a seed, Kendall's tau of lambda and message fidelity is {found} over "
+        f"{said}: within a seed, Kendall's tau of lambda and message fidelity is {shown_tau(found)}, over "
         f"{counted(found.units, 'seed')}. {decided}It is highest at lambda {best:g}, "
         f"with {mean(runs[best], 'message_fidelity'):.2f} "
         f"against {mean(runs[0.0], 'message_fidelity'):.2f} without the term. "
-        f"Tau of lambda and success is {trend(runs, 'success')}, "
+        f"Tau of lambda and success is {shown_tau(trend(runs, 'success'))}, "
         f"of lambda and the episodes without agents touching "
-        f"{trend(runs, 'no_agent_collision')}."
+        f"{shown_tau(trend(runs, 'no_agent_collision'))}."
     )
 
 

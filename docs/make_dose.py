@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,12 +58,10 @@ def trend(runs: Runs, metric: str) -> Difference:
 
 def shown_tau(found: Difference) -> str:
     """Student's interval of equal values has no width, and that of others may leave tau's range."""
-    if found.value is None or found.interval is None:
+    if found.interval is None:
         return str(found)
-    low, high = (min(1.0, max(-1.0, each)) for each in found.interval)
-    return (
-        f"{found.value:+.2f} in each seed" if low == high else f"{found.value:+.2f} [{low:+.2f}, {high:+.2f}]"
-    )
+    low, high = np.clip(found.interval, -1.0, 1.0)
+    return f"{low:+.2f} in each seed" if low == high else str(replace(found, interval=(low, high)))
 
 
 def answer(runs: Runs) -> str:

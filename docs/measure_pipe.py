@@ -117,7 +117,8 @@ def main() -> None:
     for n_agents, name in POLICIES.items():
         policy, card = load_policy(find_policies()[name])
         observations = torch.randn(TIMESTEPS, n_agents, card.architecture.obs_dim)
-        starting(policy, observations)
+        if n_agents == min(POLICIES):  # once: the server stays
+            starting(policy, observations)
         explaining(policy, observations, n_agents)
         acting(observations, n_agents)
         playing(n_agents)

@@ -7,6 +7,7 @@ server serves one process of the harness and one wall, and ends with that proces
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import json
@@ -25,7 +26,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.walls import Wall, environment
 from xmarl_bench.parallel.loading import without_collector
 
-SERVER, KEEPER = "xmarl_bench.isolation.fork_server", "xmarl_bench.isolation.keeper"
+SERVER = "xmarl_bench.isolation.fork_server"
 NUMBER = struct.Struct("<Q")
 TICK = 0.1  # seconds between looks at the harness
 DESCRIPTORS = 3  # of a keeper: its questions, its answers, and its socket to the harness
@@ -55,7 +56,9 @@ class ForkServer:
         return int(NUMBER.unpack(_receive(self._socket, NUMBER.size))[0])
 
     def end(self) -> None:
+        """End the server, and with it what it has forked."""
         self._socket.close()
+        self._process.kill()
         self._process.wait()
 
 
@@ -80,6 +83,13 @@ def fork_keeper(wall: Wall, config: dict[str, Any], descriptors: Sequence[int]) 
     raise InputError("no process of its own can be started for third-party code: is there enough memory?")
 
 
+@atexit.register
+def end_servers() -> None:
+    """End the servers of this process, after the conversations with what they forked."""
+    for place in [each for each in _servers if each[0] == os.getpid()]:
+        _servers.pop(place).end()
+
+
 def main() -> None:
     """Answer requests until the harness ends, of which forks may hold copies of its end of the socket."""
     harness, parent = socket.socket(fileno=int(sys.argv[1])), os.getppid()
@@ -93,7 +103,7 @@ def main() -> None:
                 return
             config = json.loads(_receive(harness, NUMBER.unpack(header)[0]))
             with without_collector():
-                for module in (KEEPER, *config["preloaded"]):
+                for module in config["preloaded"]:
                     import_module(module)
             gc.freeze()  # a collection would copy every page that forks share
             harness.sendall(NUMBER.pack(_fork(config, harness, descriptors)))

@@ -39,7 +39,7 @@ def keep(config: dict[str, Any], questions: int, answers: int, harness: int) -> 
         os.dup2(here, there)
         os.close(here)
     told = socket.socket(fileno=harness)
-    limits, parent = Limits(**config["limits"]), os.getppid()
+    limits, parent = Limits(**config["stranger"]["limits"]), os.getppid()
     prctl(SUBREAPER, 1)  # what the stranger's processes leave behind becomes ours
     os.chdir(config["folder"])
     os.environ.clear()

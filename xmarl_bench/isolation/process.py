@@ -68,7 +68,6 @@ class Stranger:
             "preloaded": () if light or command is not None else PRELOADED,
             "worker": WORKER,
             "stranger": stranger,
-            "limits": vars(limits),
             "environment": environment(wall),
             "folder": str(Path.cwd()),
             "path": [str(Path.cwd()), *search_path()],

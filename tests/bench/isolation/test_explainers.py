@@ -45,6 +45,7 @@ def fit(policy, observations, generator):
             raise RuntimeError("two\\\\nlines \\\\x1b[31m")
         if what == 3:
             assert "SECRET_TOKEN" not in os.environ
+            assert "SECRET_TOKEN" not in open("/proc/self/environ").read()  # of the server that forked it
         if what == 4:
             socket.create_connection(("127.0.0.1", int(observations[0, 0, 1])), timeout=2).close()
         if what == 5:

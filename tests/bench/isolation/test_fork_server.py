@@ -14,7 +14,6 @@ import pytest
 from xmarl_bench.isolation import process
 from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.isolation.process import Stranger
-from xmarl_bench.isolation.walls import Wall
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="needs processes of Unix")]
 Told = Callable[..., dict[str, Any]]
@@ -26,8 +25,8 @@ def told(monkeypatch: pytest.MonkeyPatch) -> Told:
     monkeypatch.setattr(process, "WORKER", "tests.helpers.strange_worker")
     monkeypatch.setenv("STRANGE", "fork")
 
-    def tell(wall: Wall = "process", *, light: bool = False) -> dict[str, Any]:
-        with Stranger("strange", UNLIMITED, wall, light=light) as stranger:
+    def tell(*, light: bool = False) -> dict[str, Any]:
+        with Stranger("strange", UNLIMITED, "process", light=light) as stranger:
             return stranger.ask({})[0]
 
     return tell

@@ -21,16 +21,16 @@ from xmarl_baselines.explainers.attention import attention_mask
 from xmarl_baselines.explainers.attention_rowmax import attention_rowmax_mask
 from xmarl_envs import TASKS, make_task
 
-from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.explain.controls import ones_mask, random_mask, self_mask
 from xmarl_bench.explain.explainer import Explain
 from xmarl_bench.metrics import table as table_of_metrics
 from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy import Policy, load_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.reproducible import episode_seeds, one_thread
 from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.rollout.reference_states import reference_states
 from xmarl_bench.scoring.states import States
 
 HERE = Path(__file__).parent

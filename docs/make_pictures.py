@@ -18,7 +18,7 @@ from xmarl_envs.render import Renderer
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.render.recording import HEURISTIC, Recording, record
 

@@ -26,6 +26,7 @@ from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.policies import isolate_policy
 from xmarl_bench.isolation.tasks import ask_task
 from xmarl_bench.origin.references import origin_of
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.plugins.registry import isolated
 from xmarl_bench.policy import Policy, load_policy
@@ -91,7 +92,7 @@ def acting(observations: Tensor, n_agents: int) -> None:
         torch.manual_seed(0)
         network = GATv2Conv(observations.shape[-1], 4, add_self_loops=False)
     module = PolicyModule("own", network, "blind_navigation_v0", n_agents)
-    policies = module.open(origin_of(network))[0], isolate_policy(module, Isolation())[0]
+    policies = open_module(module, origin_of(network))[0], isolate_policy(module, Isolation())[0]
     mask = torch.rand(TIMESTEPS, n_agents, n_agents)
     with torch.no_grad():
         here, apart = (partial(each.distribution, observations, mask) for each in policies)

@@ -19,7 +19,6 @@ from typing import Final
 
 import torch
 
-from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.oracle import oracle_kind
 from xmarl_bench.plugins.names import find_policies
@@ -29,6 +28,7 @@ from xmarl_bench.policy.architecture import LayeredArchitecture
 from xmarl_bench.policy.build import untrained_policy
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.rollout.reference_states import reference_states
 from xmarl_bench.scoring.measure import Unit
 
 DEEP: Final = "two layers"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+from graphlib import TopologicalSorter
 from pathlib import Path
 from types import ModuleType
 
@@ -23,12 +24,10 @@ ALLOWED = {
 LAYERS = (
     ("counted", "errors"),
     ("metrics", "origin", "parallel", "records", "reproducible"),
-    ("tasks",),
-    ("policy",),
-    ("entry", "rollout"),
-    ("compare", "explain", "planted"),
-    ("isolation",),
-    ("board", "checks", "dataset", "plugins"),
+    ("policy", "tasks"),
+    ("entry", "explain", "planted", "rollout"),
+    ("board", "checks", "compare", "dataset", "isolation"),
+    ("plugins",),
     ("scoring",),
     ("meta", "papers", "render", "submission"),
     ("cli",),
@@ -59,6 +58,42 @@ def test_packages_of_the_harness_import_only_from_lower_layers() -> None:
             other = rest.partition(".")[0]
             if top == "xmarl_bench" and other != own:
                 assert layer_of[other] < layer_of[own], f"{file} imports {name}"
+
+
+@pytest.mark.parametrize("package", [xmarl_bench, xmarl_baselines], ids=lambda package: package.__name__)
+def test_no_two_files_import_each_other(package: ModuleType) -> None:
+    """Not even inside functions or through other files. An `__init__` stands for the files it names."""
+    root = Path(str(package.__file__)).parent.parent
+    files = {module_of(file, root): file for file in (root / package.__name__).rglob("*.py")}
+    faces = {name: names_handed_on(file) for name, file in files.items() if file.stem == "__init__"}
+    assert len(files) > 30
+    arrows: dict[str, set[str]] = {}
+    for name, file in files.items():
+        if name not in faces:
+            taken = names_taken(file)
+            arrows[name] = {
+                faces[module].get(each, module) if module in faces else module for module, each in taken
+            }
+    TopologicalSorter(arrows).prepare()  # raises CycleError with the files of a circle
+
+
+def module_of(file: Path, root: Path) -> str:
+    return ".".join(file.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
+
+
+def names_taken(file: Path) -> set[tuple[str, str]]:
+    """(module, name) of every `from module import name` of a file, also inside functions."""
+    return {
+        (node.module, alias.name)
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }
+
+
+def names_handed_on(face: Path) -> dict[str, str]:
+    """Name -> the module that an `__init__.py` takes it from."""
+    return {name: module for module, name in names_taken(face)}
 
 
 @functools.cache

@@ -19,7 +19,7 @@ from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.reference import dose_runs
 from xmarl_bench import score
 from xmarl_bench.policy import load_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.untrusted import CARD
 from xmarl_bench.records.files import write_json
 

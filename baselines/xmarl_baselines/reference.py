@@ -14,7 +14,7 @@ from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.recipes import RECIPES, Recipe, recipe_for
 from xmarl_baselines.training.trainer import Run
 from xmarl_bench.errors import InputError, unknown
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 
 SIZES = (3, 4, 5)
 SEEDS = (0, 1, 2)

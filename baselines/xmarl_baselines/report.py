@@ -26,7 +26,7 @@ from xmarl_bench.cli.tables import Row, markdown
 from xmarl_bench.papers.kailas2025.paper import MAIN as PAPER
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, load_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_checkpoint, selection_key
 from xmarl_bench.records.files import write_atomically, write_json
 from xmarl_bench.rollout.cell import Cell, Sampling

@@ -18,7 +18,7 @@ from xmarl_baselines.policies import HERE
 from xmarl_baselines.reference import EPISODES, reference_runs
 from xmarl_baselines.training.model_selection import weights_at
 from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.untrusted import CARD
 from xmarl_bench.rollout.evaluation import evaluate_policy
 

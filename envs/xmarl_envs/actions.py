@@ -19,9 +19,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from xmarl_envs.task import Floats, Task
+from xmarl_envs.task import PUSHES, Task
 
-PUSHES: Floats = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], dtype=np.float64)
 N_ACTIONS = len(PUSHES)
 
 
@@ -42,11 +41,6 @@ def team_action_space(task: Task) -> spaces.Space[Any]:
 def action_shape(task: Task) -> tuple[int, ...]:
     """The shape of a team's actions: (N, 2), or (N,) if they are discrete."""
     return (task.n_agents, 2) if task.continuous_actions else (task.n_agents,)
-
-
-def action_width(continuous_actions: bool) -> int:
-    """How many numbers a policy outputs per action: entries of a push, or one per discrete action."""
-    return 2 if continuous_actions else N_ACTIONS
 
 
 def pushes(task: Task, actions: NDArray[Any]) -> NDArray[Any]:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+# (5, 2): of discrete actions, in MPE2's order, see xmarl_envs.actions.
+PUSHES: Floats = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], dtype=np.float64)
 _TRIES = 10_000  # of `scatter`, for the last of its points
 
 
@@ -87,10 +89,8 @@ class Task(ABC):
 
     @property
     def action_width(self) -> int:
-        """How many numbers a policy outputs for an action, see `xmarl_envs.actions.action_width`."""
-        from xmarl_envs.actions import action_width  # which imports this module
-
-        return action_width(self.continuous_actions)
+        """How many numbers a policy outputs for an action: entries of a push, or one per discrete action."""
+        return 2 if self.continuous_actions else len(PUSHES)
 
     def with_actions(self, continuous: bool) -> Self:
         """The same task with continuous or with discrete actions."""

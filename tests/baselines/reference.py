@@ -14,7 +14,7 @@ from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_envs import TASKS, make_task
 
 from xmarl_bench.policy import GraphPolicy, Policy, complete_graph, load_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import is_checkpoint
 from xmarl_bench.rollout.episodes import roll_out
 

@@ -12,7 +12,7 @@ from xmarl_baselines.report import READMES, cell_rows, draw, filled, final, poli
 
 from xmarl_bench.papers.kailas2025.paper import MAIN
 from xmarl_bench.policy import PolicyCard
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 
 
 @pytest.mark.parametrize("readme", READMES, ids=lambda path: path.parent.name)

@@ -14,13 +14,13 @@ from xmarl_baselines.explainers.attention import attention
 
 from tests.benchmarks.conftest import Report
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES
-from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy import load_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.reproducible import episode_seeds
 from xmarl_bench.rollout.cell import Cell
+from xmarl_bench.rollout.reference_states import reference_states
 from xmarl_bench.scoring.behaviour import BLOCK, BehaviourBlock, Played
 
 TASK = "blind_navigation_v0"

@@ -22,6 +22,7 @@ from tests.conftest import RunCli
 from tests.helpers.policies import random_observations
 from xmarl_bench import CompleteGraph, PolicyModule, load_policy, score
 from xmarl_bench.origin.references import origin_of
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.plugins.registry import open_policy
 from xmarl_bench.policy.architecture import MAX_LAYER_WIDTH, EdgeFeatures, Memory
 from xmarl_bench.policy.build import weights_of
@@ -54,7 +55,7 @@ def test_the_networks_of_the_page_are_accepted(tmp_path: Path) -> None:
     layer: dict[str, Any] = {}
     exec(compile(blocks("python")[2], "policies.md", "exec", dont_inherit=True), layer)
     network = layer["MyAttention"]()
-    policy, _ = PolicyModule("mine", network, "blind_navigation_v0", 3).open(origin_of(network))
+    policy, _ = open_module(PolicyModule("mine", network, "blind_navigation_v0", 3), origin_of(network))
     alpha = policy.attention(random_observations(2, 3, 6))
     torch.testing.assert_close(alpha.sum(dim=-1), torch.ones(2, 3))
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from mpe2 import simple_v3
 from numpy.typing import NDArray
 from xmarl_envs import TASKS, TaskParallelEnv, VectorEnv, make_task
-from xmarl_envs.actions import PUSHES, action_space, nearest_actions, random_actions, team_action_space
+from xmarl_envs.actions import action_space, nearest_actions, random_actions, team_action_space
+from xmarl_envs.task import PUSHES
 
 tasks = pytest.mark.parametrize("name", TASKS)
 NAVIGATION = make_task("blind_navigation_v0", 3, continuous_actions=False)

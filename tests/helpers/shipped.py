@@ -11,9 +11,9 @@ from torch import Tensor
 
 from tests.helpers.policies import random_observations
 from xmarl_bench.explain.explainer import Explainer, fit_explainer
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.plugins.names import EXPLAINERS
 from xmarl_bench.policy import Policy
-from xmarl_bench.rollout.simulator import Simulator
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 

@@ -22,21 +22,15 @@ from xmarl_bench.checks.peak_memory import peak_memory
 from xmarl_bench.checks.traces import global_settings, random_states, traces_of
 from xmarl_bench.counted import counted
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.explainer import (
-    Explainer,
-    as_floats,
-    explain_of,
-    finite,
-    run_explainer,
-    seen,
-)
-from xmarl_bench.explain.fitting import FIRST_FIT_SEED, FIT_EPISODES, fit_states, fitted
+from xmarl_bench.explain.explainer import Explainer, explain_of, fitted, run_explainer, seen
+from xmarl_bench.explain.returned_mask import as_floats, finite
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread, seeded
 from xmarl_bench.rollout.cell import spaced_timesteps
-from xmarl_bench.rollout.simulator import Simulator
+from xmarl_bench.rollout.reference_states import FIRST_FIT_SEED, FIT_EPISODES, fit_states
 
 ROUNDING: Final = 1e-4  # rounding of matrix products depends on the size of the batch
 SLOW_MS: Final = 20.0  # CPU time per timestep: twice the limit of `slow`, because machines differ

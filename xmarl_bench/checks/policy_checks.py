@@ -20,13 +20,13 @@ from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_chec
 from xmarl_bench.counted import counted
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import action_change
-from xmarl_bench.explain.fitting import FIRST_FIT_SEED, fit_states
 from xmarl_bench.metrics.statistics import over_units
 from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.policy.interventions import check_blind, check_receivers
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.rollout.cell import Cell, spaced_timesteps
 from xmarl_bench.rollout.episodes import Floats, play, roll_out
+from xmarl_bench.rollout.reference_states import FIRST_FIT_SEED, fit_states
 from xmarl_bench.tasks.interface import random_actions
 
 SEED: Final = 1

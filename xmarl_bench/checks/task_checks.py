@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_checks
 from xmarl_bench.counted import counted
-from xmarl_bench.explain.fitting import FIRST_FIT_SEED
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode, Floats, play
+from xmarl_bench.rollout.reference_states import FIRST_FIT_SEED
 from xmarl_bench.tasks.interface import TeamTask, random_actions
 
 SEED: Final = 1

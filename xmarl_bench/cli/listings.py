@@ -44,7 +44,7 @@ def policies() -> tuple[list[Row], list[InputError]]:
     """
     from xmarl_bench.metrics.table import SUCCESS
     from xmarl_bench.plugins.names import registered_policies
-    from xmarl_bench.policy.bundle import load_card
+    from xmarl_bench.policy.card import load_card
 
     found, failures = registered_policies()
     rows: list[Row] = []

@@ -37,7 +37,7 @@ def submit(
     from xmarl_bench.counted import counted
     from xmarl_bench.entry.file import read_entry
     from xmarl_bench.errors import InputError
-    from xmarl_bench.policy.bundle import load_card
+    from xmarl_bench.policy.card import load_card
     from xmarl_bench.submission.checking import check
     from xmarl_bench.submission.packing import as_submitted, bundle_files, write_bundle
 

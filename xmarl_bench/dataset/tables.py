@@ -19,7 +19,7 @@ from torch import Tensor
 
 from xmarl_bench.dataset.card import Card
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.absence import message_table, reference_states
+from xmarl_bench.explain.absence import message_table
 from xmarl_bench.explain.oracle import change_table, why_not_enumerated
 from xmarl_bench.metrics import others_table
 from xmarl_bench.metrics.absence import Absence
@@ -27,10 +27,12 @@ from xmarl_bench.origin.installed import harness_version
 from xmarl_bench.planted.families import planted
 from xmarl_bench.policy import GraphPolicy, Policy, existing_edges
 from xmarl_bench.policy.architecture import CodeArchitecture
-from xmarl_bench.policy.bundle import PolicyCard, packed
+from xmarl_bench.policy.bundle import packed
+from xmarl_bench.policy.card import PolicyCard
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Rollout
+from xmarl_bench.rollout.reference_states import reference_states
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, create_model
 
 from xmarl_bench.entry.protocol import PROTOCOL
+from xmarl_bench.metrics.budgeted_fidelity import OracleKind
 from xmarl_bench.metrics.table import Group, Metric, metrics_of
 from xmarl_bench.policy.architecture import AnyArchitecture
 from xmarl_bench.records.columns import ByColumn
@@ -187,9 +188,6 @@ class SanityRow(MetricsRow):
 @of_metrics(_row_type, Group.POLICY)
 class PolicyRow(MetricsRow):
     """Metrics that depend on the policy only."""
-
-
-OracleKind = Literal["enumerated", "sampled"]
 
 
 class BudgetRow(Record):

@@ -30,7 +30,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xmarl_bench.explain.fitting import fit_states
 from xmarl_bench.explain.oracle import binary_rows, change_from_last, check_oracle, chunks
 from xmarl_bench.metrics import prediction_change
 from xmarl_bench.metrics.absence import Absence
@@ -39,14 +38,6 @@ from xmarl_bench.policy.distribution import ActionDistribution
 from xmarl_bench.policy.network import Prepared
 
 DRAWS: Final = 4  # per timestep
-
-
-def reference_states(policy: Policy, task: str, n_agents: int) -> Tensor | None:
-    """(Q, N, D) observations whose messages replace removed ones; None if only zero can be measured.
-
-    The same for every explainer and every sampling.
-    """
-    return fit_states(policy, task, n_agents) if isinstance(policy, GraphPolicy) else None
 
 
 def message_rows(n_agents: int) -> Tensor:

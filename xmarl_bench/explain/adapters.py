@@ -27,11 +27,10 @@ from torch_geometric.explain import AttentionExplainer, CaptumExplainer, Explain
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Access, Explain, Explainer, Fit, Scalar
 from xmarl_bench.explain.pyg import Copies, PygExplain, PygFit
-from xmarl_bench.explain.simulated import SIMULATOR, Simulated
+from xmarl_bench.explain.simulator import SIMULATOR, Simulated, Simulator
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin, origin_of
 from xmarl_bench.policy import Policy
-from xmarl_bench.rollout.simulator import Simulator
 
 PARAMETERS = ("policy", "observations", "generator")
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, TypeVar
 
@@ -18,22 +17,19 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.node_importance import as_edge_masks
 from xmarl_bench.explain.pyg import class_settings_kept
-from xmarl_bench.explain.simulated import Simulated
+from xmarl_bench.explain.returned_mask import as_floats, checked_mask, finite
+from xmarl_bench.explain.simulator import Simulated, Simulator
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.black_box import BlackBox
 from xmarl_bench.policy.device import CPU, checked_device
 from xmarl_bench.policy.elsewhere import PolicyElsewhere
-from xmarl_bench.reproducible import seeded
-from xmarl_bench.rollout.simulator import Simulator
+from xmarl_bench.reproducible import derived_seed, one_thread, seeded
 
 Scalar = bool | int | float | str | None
 Access = Literal["black-box", "attention", "gradients"]
 Result = TypeVar("Result")
-
-
-FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 
 class Explain(Protocol):
@@ -175,6 +171,17 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
     return replace(explainer, explain=fitted, fitted_on=observations)
 
 
+def fitted(explainer: Explainer, policy: Policy, states: Callable[[], Tensor], seed: int) -> Explainer:
+    """As `fit_explainer`, for a run with this seed.
+
+    states: gives the policy's `fit_states`, which take seconds to play; not called if nothing is fitted.
+    """
+    if explainer.fit is None:
+        return explainer
+    with one_thread():
+        return fit_explainer(explainer, policy, states(), derived_seed("fit", seed, explainer.name))
+
+
 def elsewhere_of(explainer: Explainer, policy: Policy) -> Elsewhere | None:
     """What asks the explainer if it, or the network that it needs, is in another process; None: it runs here.
 
@@ -239,68 +246,6 @@ def mask_of_explainer(explainer: Explainer, mask: object, n_steps: int, n_agents
             f"or leave `binary` out."
         )
     return checked
-
-
-def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor:
-    """The mask as a detached float32 tensor (S, N, N). Raises InputError, naming the explainer, if invalid.
-
-    Nothing is clipped, filled or reshaped.
-    """
-    numbers = finite(name, as_floats(name, mask, (n_steps, n_agents, n_agents)))
-    low, high = float(numbers.min()), float(numbers.max())
-    if low < 0.0 or high > 1.0:
-        raise InputError(
-            f"explainer {name!r} returned mask values from {low:.6g} to {high:.6g}: scale them to [0, 1]."
-        )
-    return numbers.to(dtype=torch.float32, copy=True)
-
-
-def as_floats(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
-    """The mask, detached. Raises InputError unless it is a floating-point tensor of the expected shape."""
-    if not isinstance(mask, Tensor):
-        raise InputError(
-            f"explainer {name!r} returned a {type(mask).__name__}: return a torch.Tensor of shape {expected}."
-        )
-    mask = _plain(name, mask)
-    kinds = {"sparse": mask.layout != torch.strided, "nested": mask.is_nested, "meta": mask.is_meta,
-             "quantised": mask.is_quantized}  # fmt: skip
-    kind = next((kind for kind, is_it in kinds.items() if is_it), None)
-    if kind is not None:
-        raise InputError(f"explainer {name!r} returned a {kind} tensor: return a dense one with its values.")
-    if tuple(mask.shape) != expected:
-        raise InputError(
-            f"explainer {name!r} returned a mask of shape {tuple(mask.shape)}: return shape {expected}."
-        )
-    if mask.dtype not in FLOATS:
-        raise InputError(
-            f"explainer {name!r} returned a mask of {mask.dtype}: return floating-point numbers of at least "
-            f"16 bits."
-        )
-    return mask.detach()
-
-
-def _plain(name: str, mask: Tensor) -> Tensor:
-    """The mask as a Tensor of no subclass, because a subclass may answer anything when it is checked."""
-    if type(mask) is Tensor:
-        return mask
-    with suppress(Exception):  # whatever the code of the subclass raises
-        plain = Tensor.as_subclass(mask, Tensor)
-        if type(plain) is Tensor:
-            return plain
-    raise InputError(
-        f"explainer {name!r} returned a {type(mask).__name__} that is no plain tensor: return a torch.Tensor."
-    )
-
-
-def finite(name: str, mask: Tensor) -> Tensor:
-    """The mask. Raises InputError if it holds NaN or infinity."""
-    n_bad = int((~torch.isfinite(mask)).sum())
-    if n_bad:
-        raise InputError(
-            f"explainer {name!r} returned NaN or infinity in {n_bad} of {mask.numel()} mask values: "
-            f"return finite numbers in [0, 1]."
-        )
-    return mask
 
 
 def _guarded(explainer: Explainer, seed: int, what: str, run: Callable[[torch.Generator], Result]) -> Result:

@@ -16,9 +16,10 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer
 from xmarl_bench.explain.control_names import MESSAGES_ONLY
-from xmarl_bench.explain.explainer import Explain, Explainer, Fit, as_floats
+from xmarl_bench.explain.explainer import Explain, Explainer, Fit
 from xmarl_bench.explain.node_importance import as_edge_masks
-from xmarl_bench.explain.simulated import Simulated
+from xmarl_bench.explain.returned_mask import as_floats
+from xmarl_bench.explain.simulator import Simulated
 from xmarl_bench.policy import ActionDistribution, Policy
 
 

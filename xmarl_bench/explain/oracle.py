@@ -19,10 +19,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xmarl_bench.entry.schema import OracleKind
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import action_change
 from xmarl_bench.metrics import prediction_change, rows_within
+from xmarl_bench.metrics.budgeted_fidelity import OracleKind
 from xmarl_bench.policy import ActionDistribution, Policy, existing_edges
 
 MAX_AGENTS: Final = 10

@@ -19,12 +19,12 @@ from torch import Tensor
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.isolation.conversation import Conversation, Source, conversation, forgotten
 from xmarl_bench.isolation.tensors import Sent
 from xmarl_bench.policy import ActionDistribution, CodeArchitecture, Policy
 from xmarl_bench.policy.elsewhere import PolicyElsewhere
 from xmarl_bench.policy.interface import NoAttentionError
-from xmarl_bench.rollout.simulator import Simulator
 
 POLICIES_KEPT = 4  # in each process
 FITS_KEPT = 8

@@ -18,7 +18,7 @@ from xmarl_bench.entry.schema import ExplainerRecord
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.simulated import SIMULATOR, Simulated
+from xmarl_bench.explain.simulator import SIMULATOR, Simulated
 from xmarl_bench.isolation.asked import Asked
 from xmarl_bench.isolation.conversation import PLAIN, Isolation, Source, conversation, sendable
 from xmarl_bench.metrics.absence import Absence

@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 from xmarl_envs import make_task
 
-from xmarl_bench.explain.absence import reference_states
 from xmarl_bench.meta.degradation import NOISE, Form, degraded, follows, in_form
 from xmarl_bench.meta.right_ranking import ranking_mask, shapley_values, true_mask
 from xmarl_bench.metrics import over_absences
@@ -27,6 +26,7 @@ from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
 from xmarl_bench.rollout.cell import spaced_timesteps
 from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.rollout.reference_states import reference_states
 from xmarl_bench.scoring.states import States
 
 # Metrics of a mask for which one end is better.

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Edges = NDArray[np.bool_]  # (S, N, M); None: the complete graph
 Item = TypeVar("Item", bound=np.generic)
+OracleKind = Literal["enumerated", "sampled"]  # how oracle@k and random@k were found
 SMALLEST = 1e-3  # action units; a smaller denominator is noise
 
 

@@ -7,7 +7,6 @@ raises an error with its name.
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +26,10 @@ from xmarl_bench.origin.references import (
     load_reference,
     located,
 )
-from xmarl_bench.plugins.names import explainer_plugin, is_shipped, place_of, places_of_plugin
+from xmarl_bench.plugins.code_policies import run_policy
+from xmarl_bench.plugins.names import explainer_plugin, is_shipped, place_of
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.policy.device import CPU
-from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.records.field_types import is_file_name
 
 
@@ -115,22 +114,6 @@ def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyC
     return run_policy(name, None if place is None else place.plugin)
 
 
-def run_policy(name: str, plugin: EntryPoint | None) -> tuple[Policy, PolicyCard]:
-    """A policy that is code, of a plugin or by `module:factory`. Raises InputError if it cannot be made."""
-    if plugin is None:
-        factory, origin = load_reference(name)
-        return _made(factory, name).open(origin)
-    code = places_of_plugin(plugin).get(name)
-    made = _made(code, name)
-    if made.name != name:
-        raise InputError(
-            f"policy plugin {name!r} ({plugin.value}) calls itself {made.name!r}: use one name for both."
-        )
-    named = getattr(code, "__qualname__", None)
-    where = None if named is None else f"{code.__module__}:{named}"
-    return made.open(origin_of_plugin(plugin, where))
-
-
 def ask_policy(
     name: str, isolation: Isolation = PLAIN, *, trust_code: bool = False
 ) -> tuple[Policy, PolicyCard]:
@@ -153,24 +136,3 @@ def ask_policy(
     name, readable, origin = located(name)
     source = Source(f"policy {Path(name).name}", None, isolation, readable)
     return open_elsewhere(source, {"policy": name, "plugin": None}, origin)
-
-
-def _made(factory: object, name: str) -> PolicyModule:
-    """What the factory returns. Raises InputError if it fails or returns anything but a PolicyModule."""
-    if not callable(factory):
-        raise InputError(
-            f"policy {name!r} is a {type(factory).__name__}: give a function that returns a PolicyModule."
-        )
-    try:
-        made = factory()
-    except InputError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise InputError(
-            f"policy {name!r} could not be made ({type(error).__name__}: {error}): correct its factory."
-        ) from error
-    if not isinstance(made, PolicyModule):
-        raise InputError(
-            f"policy {name!r} is a {type(made).__name__}: make its factory return a PolicyModule."
-        )
-    return made

@@ -84,7 +84,7 @@ class Worker:
     def load(self, question: dict[str, Any]) -> Answer:
         """Load an explainer, which runs its code; returns its declarations."""
         from xmarl_bench.explain.adapters import origin_of_explainer
-        from xmarl_bench.explain.simulated import SIMULATOR
+        from xmarl_bench.explain.simulator import SIMULATOR
         from xmarl_bench.origin.code_hash import object_sha256
         from xmarl_bench.plugins.registry import find_explainer
 

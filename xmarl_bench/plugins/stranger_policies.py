@@ -18,7 +18,7 @@ from xmarl_bench.explain.sanity import shuffled_weights
 from xmarl_bench.isolation.conversation import sendable
 from xmarl_bench.isolation.tensors import Sent
 from xmarl_bench.origin.code_hash import object_sha256
-from xmarl_bench.plugins.registry import run_policy
+from xmarl_bench.plugins.code_policies import open_module, run_policy
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.interventions import random_teams
 from xmarl_bench.policy.policy_module import PolicyModule
@@ -37,7 +37,7 @@ def open_code(question: dict[str, Any]) -> Answer:
     """
     if "pickled" in question:
         made = pickle.loads(question["pickled"])
-        policy, card = made.open(question["origin"]) if isinstance(made, PolicyModule) else made
+        policy, card = open_module(made, question["origin"]) if isinstance(made, PolicyModule) else made
     else:
         plugin = question["plugin"]
         policy, card = run_policy(question["policy"], None if plugin is None else EntryPoint(*plugin))

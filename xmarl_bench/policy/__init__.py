@@ -17,7 +17,8 @@ if TYPE_CHECKING:
         LayeredArchitecture,
     )
     from xmarl_bench.policy.build import build_policy, initial_policy
-    from xmarl_bench.policy.bundle import PolicyCard, load_policy, save_policy
+    from xmarl_bench.policy.bundle import load_policy, save_policy
+    from xmarl_bench.policy.card import PolicyCard
     from xmarl_bench.policy.distribution import ActionDistribution
     from xmarl_bench.policy.graph import CompleteGraph, FixedGraph, Graph, RadiusGraph, complete_graph
     from xmarl_bench.policy.interface import Policy, existing_edges
@@ -37,7 +38,7 @@ _MODULES = {
     "LayeredArchitecture": "architecture",
     "ModulePolicy": "module",
     "Policy": "interface",
-    "PolicyCard": "bundle",
+    "PolicyCard": "card",
     "Prepared": "network",
     "RadiusGraph": "graph",
     "build_policy": "build",

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import Architecture, LayeredArchitecture
-from xmarl_bench.policy.bundle import PolicyCard, closed
+from xmarl_bench.policy.card import PolicyCard, closed
 from xmarl_bench.policy.layers import LayeredNetwork
 from xmarl_bench.policy.module import ModulePolicy
 from xmarl_bench.policy.network import GraphPolicy

@@ -12,23 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.architecture import (
-    AnyArchitecture,
-    Architecture,
-    CodeArchitecture,
-    LayeredArchitecture,
-)
+from xmarl_bench.policy.card import PolicyCard, closed, load_card
 from xmarl_bench.policy.graph import FixedGraph
 from xmarl_bench.policy.shapes import weight_shapes
-from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, WEIGHTS, check_weights, read_member
-from xmarl_bench.records.field_types import Agents, Name, Sha256
+from xmarl_bench.policy.untrusted import CARD, WEIGHTS, check_weights, read_member
 from xmarl_bench.records.files import write_atomically
-from xmarl_bench.records.strict_json import first_error, parse_json, shown
+from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import torch_defaults
 
 if TYPE_CHECKING:
@@ -39,28 +32,6 @@ if TYPE_CHECKING:
 
 LARGEST_TEAM_TRIED = 8  # agents; networks of a bundle do not depend on their number
 Weights = dict[str, NDArray[np.float32]]
-
-
-class PolicyCard(BaseModel):
-    """Describes a policy, and holds what is needed to rebuild it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    name: Name
-    task: str
-    n_agents: Agents
-    attention_entropy: float = Field(description="weight lambda of the attention-entropy term in training")
-    family: Name | None = Field(
-        default=None, description="the networks and recipe it belongs to, e.g. `residual`"
-    )
-    training_seed: int | None = None
-    initial_seed: int | None = Field(
-        default=None, description="torch's seed before its initial weights were drawn"
-    )
-    architecture: AnyArchitecture
-    weights_sha256: Sha256
-    training: dict[str, Any] = Field(default_factory=dict, description="how it was trained, as recorded then")
-    performance: dict[str, Any] = Field(default_factory=dict, description="task metrics, as measured then")
 
 
 def save_policy(folder: Path, policy: nn.Module, **card: Any) -> PolicyCard:
@@ -90,11 +61,6 @@ def packed(policy: nn.Module, **card: Any) -> tuple[PolicyCard, bytes]:
 def write_bundle(folder: Path, card: PolicyCard, weights: bytes) -> None:
     write_atomically(folder / WEIGHTS, weights)
     write_atomically(folder / CARD, (card.model_dump_json(indent=2) + "\n").encode())
-
-
-def load_card(bundle: Path) -> PolicyCard:
-    """Read and validate `policy.json` only. Raises InputError if it is invalid."""
-    return parse_card(read_member(bundle, CARD), str(bundle / CARD))
 
 
 def load_policy(
@@ -129,25 +95,6 @@ def build(card: PolicyCard, weights: Weights) -> GraphPolicy | LayeredPolicy:
     return policy
 
 
-def parse_card(data: bytes, where: str) -> PolicyCard:
-    """The card of a bundle. Raises InputError if it is invalid. where: its path, for the message."""
-    try:
-        parse_json(data, max_bytes=MAX_BYTES[CARD])
-        card = PolicyCard.model_validate_json(data)
-    except ValidationError as error:
-        problem, place = first_error(error)
-        problem, place = shown(problem, 200).strip("'\""), shown(place or "the whole file")
-        raise InputError(f"{where} is not a policy card: {problem} at {place}.") from None
-    except ValueError as error:
-        raise InputError(f"{where} is not a policy card: it {error}.") from None
-    if isinstance(card.architecture, CodeArchitecture):
-        raise InputError(
-            f"{where} is not a policy card: its architecture is code, which bundles do not hold: give "
-            f"the code itself, as module:factory with --trust-code."
-        )
-    return card
-
-
 def parse_weights(data: bytes, card: PolicyCard, where: str) -> Weights:
     """The weights that belong to a card, with the names and shapes of `weight_shapes`, all finite.
 
@@ -167,9 +114,3 @@ def parse_weights(data: bytes, card: PolicyCard, where: str) -> Weights:
             f"use the two files that were saved together."
         )
     return weights
-
-
-def closed(architecture: AnyArchitecture) -> Architecture | LayeredArchitecture:
-    """A card's architecture, which is in the closed list: `parse_card` accepts no other."""
-    assert not isinstance(architecture, CodeArchitecture)
-    return architecture

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 
 from xmarl_envs import TASKS
 
-from xmarl_bench.policy.bundle import PolicyCard
+from xmarl_bench.policy.card import PolicyCard
 
 DEFAULT_FAMILY = "residual"
 

@@ -14,13 +14,13 @@ from xmarl_envs.heuristics import heuristic
 from xmarl_envs.scene import Drawable, Picture, Track
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.explainer import Explainer, run_explainer
-from xmarl_bench.explain.fitting import fit_states, fitted
+from xmarl_bench.explain.explainer import Explainer, fitted, run_explainer
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.policy import Policy
 from xmarl_bench.render.ring import Ring
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
 from xmarl_bench.rollout.episodes import chooser, initial_state
-from xmarl_bench.rollout.simulator import Simulator
+from xmarl_bench.rollout.reference_states import fit_states
 from xmarl_bench.tasks.interface import TeamEpisodes, TeamTask, random_actions
 from xmarl_bench.tasks.parallel_task import ParallelEpisodes
 

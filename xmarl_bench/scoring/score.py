@@ -18,13 +18,14 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER
 from xmarl_bench.explain.explainer import Explainer, on_device
-from xmarl_bench.explain.simulated import SIMULATOR
+from xmarl_bench.explain.simulator import SIMULATOR
 from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.isolation.policies import is_code_here, isolate_policy
 from xmarl_bench.isolation.tasks import ask_task
 from xmarl_bench.origin.references import origin_of
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.plugins.registry import (
     ask_explainer,
     ask_policy,
@@ -156,7 +157,7 @@ def _opened(
         return ask_policy(str(policy), isolation, trust_code=trust_code)
     if isinstance(policy, PolicyModule):
         if isolation is None:
-            return policy.open(origin_of(policy.network))
+            return open_module(policy, origin_of(policy.network))
     elif isolation is None or not is_code_here(*policy):
         return policy
     return isolate_policy(policy, isolation)

@@ -19,7 +19,7 @@ from xmarl_bench.isolation.tasks import ask_task
 from xmarl_bench.origin.references import check_named, check_reference, is_reference
 from xmarl_bench.plugins.names import explainer_names, explainer_plugin, place_of, registered_policies
 from xmarl_bench.policy import PolicyCard, load_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_checkpoint
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.scoring.arguments import ALL, check_fit

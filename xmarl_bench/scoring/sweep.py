@@ -14,13 +14,13 @@ from torch import Tensor
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import controls_of
-from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.fitting import fit_states, fitted
+from xmarl_bench.explain.explainer import Explainer, fitted
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.rollout.episodes import Episode, Rollout
-from xmarl_bench.rollout.simulator import Simulator
+from xmarl_bench.rollout.reference_states import fit_states
 from xmarl_bench.scoring.behaviour import BehaviourBlock, Played
 from xmarl_bench.scoring.measure import Explained, Measured, Unit
 from xmarl_bench.scoring.pieces import Environment, Piece

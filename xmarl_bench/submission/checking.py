@@ -17,7 +17,8 @@ from xmarl_bench.entry.file import entry_files, folder_of_entries, parse_entry
 from xmarl_bench.entry.partial import partial_reason
 from xmarl_bench.entry.schema import Entry, PolicyRecord, Verification
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.bundle import PolicyCard, Weights, build, parse_card, parse_weights
+from xmarl_bench.policy.bundle import Weights, build, parse_weights
+from xmarl_bench.policy.card import PolicyCard, parse_card
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS
 from xmarl_bench.records.strict_json import MAX_BYTES, first_error, parse_json, printable, shown
 from xmarl_bench.submission.archive import MANIFEST, is_bundle, kind_of, read_files

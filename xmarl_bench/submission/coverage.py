@@ -8,7 +8,7 @@ from xmarl_bench.counted import counted
 from xmarl_bench.entry.partial import partial_reason
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.plugins.names import shipped_policies
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies
 
 

@@ -18,13 +18,13 @@ from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.entry.schema import BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
 from xmarl_bench.explain.controls import controls_of
-from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.fitting import fit_states, fitted
+from xmarl_bench.explain.explainer import Explainer, fitted
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.metrics.table import OPTIONAL
 from xmarl_bench.policy import GraphPolicy, Policy, PolicyCard
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
-from xmarl_bench.rollout.simulator import Simulator
+from xmarl_bench.rollout.reference_states import fit_states
 from xmarl_bench.scoring.cell_result import NOT_PLAYED, episode_row
 from xmarl_bench.scoring.measure import Explained, Unit
 from xmarl_bench.scoring.request import Request

@@ -31,10 +31,9 @@ from torch import Tensor
 
 from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.simulated import Simulated
+from xmarl_bench.explain.simulator import Simulated, Simulator
 from xmarl_bench.policy import Policy
 from xmarl_bench.rollout.episodes import chooser
-from xmarl_bench.rollout.simulator import Simulator
 
 STEPS = 10  # H, of 0.1 s
 EXACT_UP_TO = 6  # agents

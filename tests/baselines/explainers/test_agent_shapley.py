@@ -25,10 +25,10 @@ from tests.helpers.policies import small_policy
 from tests.helpers.recurrent_policies import recurrent_policy, remembering
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import run_explainer
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.policy.architecture import DistributionKind
 from xmarl_bench.rollout.episodes import chooser, initial_state
-from xmarl_bench.rollout.simulator import Simulator
 
 TASK = "blind_navigation_v0"
 

@@ -20,7 +20,7 @@ from tests.baselines.training.small_runs import small
 from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import GraphPolicy, load_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 
 RUN = "discovery-n3-residual-lambda0-seed0"
 

@@ -14,7 +14,7 @@ from xmarl_baselines.training.trainer import Run
 
 from tests.baselines.training.small_runs import small
 from xmarl_bench.policy import initial_policy, load_policy
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 
 
 def test_checkpoints_of_both_families_and_both_lambdas(

@@ -25,8 +25,8 @@ from xmarl_bench.checks.explainer_checks import CHECKS, check_explainer
 from xmarl_bench.checks.explainer_subject import ExplainerSubject
 from xmarl_bench.checks.peak_memory import peak_memory
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.policy import GraphPolicy, Policy
-from xmarl_bench.rollout.simulator import Simulator
 
 PROCESS = "another process, same mask"
 CALLS = [0]

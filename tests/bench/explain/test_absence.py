@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain import absence as module
-from xmarl_bench.explain.absence import DRAWS, message_rows, message_table, reference_states
+from xmarl_bench.explain.absence import DRAWS, message_rows, message_table
 from xmarl_bench.explain.oracle import change_table
 from xmarl_bench.metrics import others_table
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.rollout.reference_states import reference_states
 
 Floats = NDArray[np.float64]
 SIZES = pytest.mark.parametrize("n_agents", [2, 4])

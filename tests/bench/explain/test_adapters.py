@@ -30,10 +30,10 @@ from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.explain.pyg import PygExplain
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.plugins.registry import checked_name
 from xmarl_bench.policy import Policy
-from xmarl_bench.rollout.simulator import Simulator
 
 QUICK = {"episodes": 2, "timesteps": 2, "max_cycles": 5, "behaviour_episodes": 0}
 POLICY, OBSERVATIONS = small_policy(6), random_observations(4, 3, 6)

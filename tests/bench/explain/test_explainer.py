@@ -14,7 +14,8 @@ from tests.helpers.example_plugins import BAD, vandal
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
-from xmarl_bench.explain.explainer import Explainer, checked_mask, run_explainer
+from xmarl_bench.explain.explainer import Explainer, run_explainer
+from xmarl_bench.explain.returned_mask import checked_mask
 from xmarl_bench.policy import Policy
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.explainer import checked_mask
+from xmarl_bench.explain.returned_mask import checked_mask
 
 SHAPE = (2, 3, 3)
 

@@ -18,12 +18,12 @@ from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import fit_explainer, run_explainer
 from xmarl_bench.explain.sanity import mask_of_shuffled_weights
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.isolation import landlock, process
 from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.isolation.walls import Wall, strongest
 from xmarl_bench.plugins.registry import ask_explainer, find_explainer
-from xmarl_bench.rollout.simulator import Simulator
 
 # The first observed number chooses what it does.
 CODE = """

@@ -30,6 +30,7 @@ from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.policies import isolate_policy
 from xmarl_bench.isolation.tensors import Sent
 from xmarl_bench.origin.references import origin_of
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.plugins.registry import ask_explainer
 from xmarl_bench.policy import ModulePolicy
 from xmarl_bench.policy.interface import NoAttentionError
@@ -70,7 +71,7 @@ def two_layers() -> PolicyModule:
 
 
 def pair(module: PolicyModule) -> tuple[ModulePolicy, AskedPolicy]:
-    here, card = module.open(origin_of(module.network))
+    here, card = open_module(module, origin_of(module.network))
     apart, its_card = isolate_policy(module, Isolation())
     assert its_card == card
     return copy.deepcopy(here).eval(), apart
@@ -180,7 +181,7 @@ def test_an_entry_of_a_code_policy_has_the_same_values_in_one_process(tmp_path: 
     assert apart.results == here.results
     assert (apart.policy.isolated, here.policy.isolated) == (None, False)
     assert apart.policy.model_copy(update={"isolated": False}) == here.policy
-    opened = with_memory().open(origin_of(nn.Module()))
+    opened = open_module(with_memory(), origin_of(nn.Module()))
     assert score(opened, "gnn_explainer", **quick).results == here.results
     assert not (tmp_path / "cache").exists()
 

@@ -17,6 +17,7 @@ from torch_geometric.nn import SimpleConv
 from xmarl_bench import PolicyModule, as_explainer
 from xmarl_bench.origin.code_hash import object_sha256
 from xmarl_bench.origin.references import load_reference, origin_of
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.policy import Policy
 from xmarl_bench.scoring.piece_keys import Keys
 
@@ -81,7 +82,7 @@ def test_a_float_in_a_policy_s_network_changes_the_hash() -> None:
     keys = []
     for scale in (0.25, 0.5, 0.25):
         module = PolicyModule("own", Network(scale), "blind_navigation_v0", 3)
-        keys.append(Keys().policy(*module.open(origin_of(module.network))))
+        keys.append(Keys().policy(*open_module(module, origin_of(module.network))))
     assert keys[0] == keys[2] != keys[1]
 
 

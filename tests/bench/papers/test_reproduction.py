@@ -29,7 +29,7 @@ from xmarl_bench.papers.kailas2025.reproduction import (
 )
 from xmarl_bench.papers.kailas2025.results import SCHEMA, judged_record
 from xmarl_bench.plugins.names import find_policies
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 
 DOCS = Path(__file__).parents[3] / "docs"
 

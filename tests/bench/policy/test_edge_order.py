@@ -18,6 +18,7 @@ from xmarl_bench import PolicyModule
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.origin.references import origin_of
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.policy import ModulePolicy, complete_graph
 
 N = 3
@@ -26,7 +27,7 @@ ALL = torch.ones(N, N, dtype=torch.bool)
 
 
 def opened(network: nn.Module) -> ModulePolicy:
-    policy, _ = PolicyModule("mine", network, TASK, N).open(origin_of(network))
+    policy, _ = open_module(PolicyModule("mine", network, TASK, N), origin_of(network))
     return policy
 
 

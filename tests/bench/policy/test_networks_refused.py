@@ -19,6 +19,7 @@ from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench import CompleteGraph, FixedGraph, PolicyModule
 from xmarl_bench.errors import InputError
 from xmarl_bench.origin.references import origin_of
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.policy import (
     ActionDistribution,
     GraphPolicy,
@@ -35,7 +36,7 @@ NO_LOOPS = CompleteGraph(loops=False)
 
 def opened(network: nn.Module, *, n_agents: int = N, **options: Any) -> Policy:
     module = PolicyModule("mine", network, "blind_navigation_v0", n_agents, **options)
-    return module.open(origin_of(network))[0]
+    return open_module(module, origin_of(network))[0]
 
 
 class Network(nn.Module):

@@ -21,6 +21,7 @@ from tests.helpers.policies import random_masks, random_observations
 from tests.helpers.recurrent_policies import AttentionThenGru, drawn
 from xmarl_bench import PolicyModule, RadiusGraph, build_policy, load_policy, save_policy, score
 from xmarl_bench.origin.references import origin_of
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.benchmarl import Settings, read_actor
 from xmarl_bench.submission.consistency import entry_findings
@@ -113,7 +114,9 @@ families = pytest.mark.parametrize("family", FAMILIES)
 
 
 def opened(given: Path | PolicyModule) -> Policy:
-    return load_policy(given)[0] if isinstance(given, Path) else given.open(origin_of(given.network))[0]
+    return (
+        load_policy(given)[0] if isinstance(given, Path) else open_module(given, origin_of(given.network))[0]
+    )
 
 
 def answers(policy: Policy, observations: Tensor, mask: Tensor) -> Tensor:

@@ -17,11 +17,11 @@ from tests.helpers.recurrent_policies import (
     remembering,
 )
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.fitting import fit_states
 from xmarl_bench.policy import Policy, complete_graph
 from xmarl_bench.render.recording import record
 from xmarl_bench.reproducible import episode_seeds
 from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.rollout.reference_states import fit_states
 
 TASK, D = "blind_navigation_v0", 6
 POLICIES: dict[str, Policy] = {

@@ -26,6 +26,7 @@ from xmarl_bench.checks.policy_checks import CHECKS, PolicySubject
 from xmarl_bench.entry.schema import CellResult
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.origin.references import origin_of
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import GraphPolicy, Policy, PolicyCard, build_policy, load_policy, save_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
@@ -62,7 +63,7 @@ def entries(policy: Policy, card: PolicyCard, explainers: Sequence[str]) -> Iter
 @pytest.mark.parametrize("make", [AttentionThenGru, LstmThenAttention])
 def test_code_is_scored_end_to_end(make: Callable[[], nn.Module]) -> None:
     network = make()
-    policy, card = PolicyModule("mine", network, TASK, 3).open(origin_of(network))
+    policy, card = open_module(PolicyModule("mine", network, TASK, 3), origin_of(network))
     for cell in entries(policy, card, EXPLAINERS):
         assert cell.metrics.budgeted_fidelity is not None  # one layer: the oracle tries every row
         assert "success_on_explanation" not in cell.not_measured
@@ -143,7 +144,7 @@ def test_keys_differ_by_memory(tmp_path: Path) -> None:
     for start in (0.0, 1.0, 0.0):
         network = Late()
         network.start = start
-        code.append(Keys().policy(*PolicyModule("gru", network, TASK, 3).open(origin_of(network))))
+        code.append(Keys().policy(*open_module(PolicyModule("gru", network, TASK, 3), origin_of(network))))
     assert code[0] == code[2] != code[1]
 
 
@@ -152,7 +153,7 @@ def test_keys_differ_by_memory(tmp_path: Path) -> None:
 def test_checks_of_policies_take_it(make: Callable[[], nn.Module]) -> None:
     """All but the one that plays whole episodes."""
     network = make()
-    policy, _ = PolicyModule("mine", network, TASK, 3).open(origin_of(network))
+    policy, _ = open_module(PolicyModule("mine", network, TASK, 3), origin_of(network))
     (episode,) = roll_out(Cell(TASK, 3).make(), policy, [1], max_cycles=8)
     chosen = {name: check for name, check in CHECKS.items() if name != "success above random"}
     subject = PolicySubject(policy, Cell(TASK, 3), torch.from_numpy(episode.observations), 2)

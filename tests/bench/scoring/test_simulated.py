@@ -10,8 +10,8 @@ from torch import Tensor
 from tests.conftest import MakeBundle
 from xmarl_bench import as_explainer, load_policy, score
 from xmarl_bench.explain.explainer import Explainer
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.policy import Policy
-from xmarl_bench.rollout.simulator import Simulator
 from xmarl_bench.submission.rerun import rerun
 
 pytestmark = pytest.mark.slow

@@ -19,12 +19,12 @@ from xmarl_bench.entry.aggregation import summarise
 from xmarl_bench.entry.schema import Entry, Summary
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.fitting import FIRST_FIT_SEED
 from xmarl_bench.metrics.statistics import percentile_interval
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
+from xmarl_bench.rollout.reference_states import FIRST_FIT_SEED
 from xmarl_bench.scoring import sweep as module
 from xmarl_bench.scoring.cache import Cache
 from xmarl_bench.scoring.measure import Unit

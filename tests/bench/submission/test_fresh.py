@@ -22,7 +22,6 @@ from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.schema import Entry, FreshDifference
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.fitting import FIRST_FIT_SEED, FIT_EPISODES
 from xmarl_bench.metrics.table import ON_FRESH, ORDER
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
@@ -36,6 +35,7 @@ from xmarl_bench.reproducible import (
 )
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
+from xmarl_bench.rollout.reference_states import FIRST_FIT_SEED, FIT_EPISODES
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
 from xmarl_bench.submission.checking import check

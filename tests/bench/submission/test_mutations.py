@@ -16,7 +16,7 @@ from tests.bench.submission.edits import with_id, with_manifest
 from xmarl_bench.entry.file import entry_text
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
-from xmarl_bench.policy.bundle import PolicyCard
+from xmarl_bench.policy.card import PolicyCard
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.checking import check

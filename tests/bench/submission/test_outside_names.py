@@ -21,7 +21,7 @@ from xmarl_bench.entry.file import read_entries, write_entry
 from xmarl_bench.entry.schema import Entry, make_entry
 from xmarl_bench.plugins.names import shipped_policies
 from xmarl_bench.policy import PolicyCard
-from xmarl_bench.policy.bundle import load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.records.strict_json import printable
 from xmarl_bench.submission.checking import check

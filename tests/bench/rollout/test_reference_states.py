@@ -9,12 +9,12 @@ from torch import Tensor
 from tests.conftest import MakeBundle
 from tests.helpers.policies import small_policy
 from xmarl_bench import as_explainer
-from xmarl_bench.explain.fitting import FIRST_FIT_SEED, FIT_EPISODES, FIT_TIMESTEPS, fit_states
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.render.recording import record
 from xmarl_bench.reproducible import PUBLIC_SEEDS, TRAINING_SEEDS
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import roll_out
+from xmarl_bench.rollout.reference_states import FIRST_FIT_SEED, FIT_EPISODES, FIT_TIMESTEPS, fit_states
 from xmarl_bench.scoring import sweep
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests

@@ -9,9 +9,9 @@ from xmarl_envs import TASKS, make_task
 
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
-from xmarl_bench.rollout import simulator as module
+from xmarl_bench.explain import simulator as module
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.rollout.episodes import chooser, roll_out
-from xmarl_bench.rollout.simulator import Simulator
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -1,10 +1,16 @@
-"""Restarts the world of one episode at any timestep that its team observed."""
+"""Explanations by simulation: the explainer plays on from the states that it explains.
+
+S is the number of timesteps, N agents, D observation entries.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from xmarl_envs import TASKS, VectorEnv, make_task
@@ -12,6 +18,7 @@ from xmarl_envs import TASKS, VectorEnv, make_task
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import Policy
 
+SIMULATOR: Final = "simulator"  # name of the parameter, and of this access in entries
 STATE_NAMES = ("position_x", "position_y", "velocity_x", "velocity_y")  # entries of an observation
 
 
@@ -57,3 +64,13 @@ class Simulator:
         env = VectorEnv(task, len(observations))
         env.restart(self.seed, state[..., :2], state[..., 2:])
         return env
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A callable that explains with the simulator of the explained episode.
+
+    function: policy, observations (S, N, D) of that episode, generator, simulator -> mask (S, N, N).
+    """
+
+    function: Callable[[Policy, Tensor, torch.Generator, Simulator], Tensor]

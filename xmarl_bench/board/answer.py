@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from xmarl_bench.board.columns import GAMED, ORDER
-from xmarl_bench.board.tables import BEATEN
+from xmarl_bench.board.over_policies import BEATEN
 from xmarl_bench.counted import counted
 from xmarl_bench.explain.control_names import BY_ZERO, RANDOM
 from xmarl_bench.metrics.table import by_name

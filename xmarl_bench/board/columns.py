@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from xmarl_bench.metrics import table
 from xmarl_bench.metrics.table import METRICS, OF_EXPLAINERS, OF_POLICIES, UNDER_ABSENCES, by_name, columns_of
 
@@ -13,6 +15,7 @@ ORDER = {
     "ranking, 1 the best one. It is the mean over four absence models, which replace a removed message in "
     "different ways. FidDelta alone can be gamed: the mask of ones, a control, attains most of it.",
 }
+MOST = by_name()[ORDER["by"]].range.high or math.inf  # the largest possible value of the order
 # Metric -> heading, with an arrow in the better direction.
 COLUMNS = {metric.name: metric.column_heading for metric in columns_of(*OF_EXPLAINERS)}
 PAPER = tuple(metric.name for metric in METRICS if metric.in_paper)  # shown in every table

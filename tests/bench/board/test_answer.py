@@ -9,8 +9,8 @@ import pytest
 from tests.helpers.made_entries import made_entry
 from xmarl_bench.board import board_of
 from xmarl_bench.board.answer import answer_about, answer_of, answer_on_term, gamed_by, number
+from xmarl_bench.board.entry_rows import Json
 from xmarl_bench.board.regulariser import families_of, regulariser_of
-from xmarl_bench.board.tables import Json
 
 
 def ranking(levels: Mapping[str, Sequence[float]]) -> Json:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from tests.helpers.made_entries import made_board, made_entry
 from xmarl_bench.board import board_of
+from xmarl_bench.board.entry_rows import Json
 from xmarl_bench.board.ranking import Floats, complete_part, places
-from xmarl_bench.board.tables import Json
 from xmarl_bench.entry.protocol import SAMPLED
 from xmarl_bench.entry.schema import Entry, OracleRecord
 from xmarl_bench.metrics.statistics import over_units

@@ -143,12 +143,12 @@ def third_party_code_in_this_process(request: pytest.FixtureRequest, monkeypatch
     if "torch" not in sys.modules:  # a light installation, or a test that loads little
         return
     from xmarl_bench.plugins import registry
-    from xmarl_bench.scoring import score, selection
+    from xmarl_bench.scoring import entry_records, score, selection
 
     monkeypatch.setattr(registry, "ask_explainer", lambda name, _=None: registry.find_explainer(name))
     for scoring in (score, selection):
         monkeypatch.setattr(scoring, "Isolation", lambda _: None)
-    monkeypatch.setattr(score, "is_shipped_code", lambda _: True)
+    monkeypatch.setattr(entry_records, "is_shipped_code", lambda _: True)
 
 
 @pytest.fixture

@@ -8,25 +8,27 @@ from functools import cache
 import numpy as np
 
 from tests.helpers.policies import small_policy
-from xmarl_bench.entry.protocol import DEFINITIONS
-from xmarl_bench.entry.schema import (
+from xmarl_bench.entry.metric_records import (
     BehaviourRow,
     BudgetRow,
-    CellResult,
     ControlMetrics,
-    Cost,
-    Entry,
     EpisodeRow,
-    ExplainerRecord,
     ExplanationRow,
     Metrics,
+    Summary,
+)
+from xmarl_bench.entry.protocol import DEFINITIONS
+from xmarl_bench.entry.schema import (
+    CellResult,
+    Cost,
+    Entry,
+    ExplainerRecord,
     OracleRecord,
     PolicyRecord,
     Protocol,
     Provenance,
-    Summary,
     make_entry,
-)  # fmt: skip
+)
 from xmarl_bench.explain.control_names import INVERTED, NEAREST
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.reproducible import derived_seed, episode_seeds

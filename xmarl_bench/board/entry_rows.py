@@ -12,8 +12,9 @@ from xmarl_bench.board.gate import gate_reason
 from xmarl_bench.board.ranking import Floats
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.mask_digest import mask_digest
+from xmarl_bench.entry.metric_records import ControlMetrics, Metrics
 from xmarl_bench.entry.partial import partial_reason
-from xmarl_bench.entry.schema import CellResult, ControlMetrics, Entry, Metrics
+from xmarl_bench.entry.schema import CellResult, Entry
 from xmarl_bench.records.files import canonical_json
 
 Json = dict[str, Any]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from xmarl_bench.entry.schema import Metrics, Summary
+from xmarl_bench.entry.metric_records import Metrics, Summary
 from xmarl_bench.metrics.table import GAINS, SUCCESS, by_name
 
 MIN_SUCCESS: Final = 0.5

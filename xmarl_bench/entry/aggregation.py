@@ -8,17 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xmarl_bench.entry.protocol import SANITY_EPISODES
-from xmarl_bench.entry.schema import (
+from xmarl_bench.entry.metric_records import (
     BehaviourRow,
     BudgetRow,
-    CellResult,
     ControlMetrics,
     EpisodeRow,
     ExplanationRow,
     Metrics,
     Summary,
 )
+from xmarl_bench.entry.protocol import SANITY_EPISODES
+from xmarl_bench.entry.schema import CellResult
 from xmarl_bench.metrics.budgeted_fidelity import SMALLEST
 from xmarl_bench.metrics.statistics import percentile_interval
 from xmarl_bench.metrics.table import Group, names_of

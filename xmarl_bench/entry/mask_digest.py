@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 
-from xmarl_bench.entry.schema import CellResult, Entry, ExplanationRow
+from xmarl_bench.entry.metric_records import ExplanationRow
+from xmarl_bench.entry.schema import CellResult, Entry
 from xmarl_bench.records.files import canonical_json
 
 DIGITS = 6  # significant ones: rounding of another machine shall not hide a copy

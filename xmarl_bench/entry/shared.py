@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from xmarl_bench.entry.schema import EpisodeRow
+from xmarl_bench.entry.metric_records import EpisodeRow
 from xmarl_bench.metrics.table import Group, names_of
 
 Json = dict[str, Any]

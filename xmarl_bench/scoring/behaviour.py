@@ -27,8 +27,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from xmarl_bench.entry.metric_records import BehaviourRow
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES
-from xmarl_bench.entry.schema import BehaviourRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.absence import stand_ins, step_under
 from xmarl_bench.explain.explainer import Explainer, run_explainer

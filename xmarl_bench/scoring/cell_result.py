@@ -6,16 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from xmarl_bench.entry.aggregation import SANITY, Acted, cell_metrics, control_metrics, sampling_error
+from xmarl_bench.entry.metric_records import BehaviourRow, ControlMetrics, EpisodeRow, SanityRow
 from xmarl_bench.entry.protocol import SAMPLED
-from xmarl_bench.entry.schema import (
-    BehaviourRow,
-    CellResult,
-    ControlMetrics,
-    Cost,
-    EpisodeRow,
-    OracleRecord,
-    SanityRow,
-)
+from xmarl_bench.entry.schema import CellResult, Cost, OracleRecord
 from xmarl_bench.explain.control_names import INVERTED, RANDOM
 from xmarl_bench.explain.oracle import oracle_kind
 from xmarl_bench.explain.sampled_oracle import ORDERS

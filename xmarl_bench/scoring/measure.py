@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from xmarl_bench.entry.metric_records import BudgetRow, ExplanationRow, PolicyRow, SanityRow
 from xmarl_bench.entry.protocol import SANITY_TIMESTEPS
-from xmarl_bench.entry.schema import BudgetRow, ExplanationRow, PolicyRow, SanityRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.control_names import ORACLE, SOFT_ORACLE
 from xmarl_bench.explain.controls import CONTROLS

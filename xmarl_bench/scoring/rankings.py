@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_bench.entry.schema import BudgetRow
+from xmarl_bench.entry.metric_records import BudgetRow
 from xmarl_bench.metrics.absence import Absence
 
 Floats = NDArray[np.float64]

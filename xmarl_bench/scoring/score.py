@@ -11,14 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from xmarl_bench.entry.protocol import definitions
-from xmarl_bench.entry.provenance import now, provenance
-from xmarl_bench.entry.schema import Entry, ExplainerRecord, PolicyRecord, Protocol, TaskRecord, make_entry
+from xmarl_bench.entry.provenance import now
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
-from xmarl_bench.explain.effect import NORMALISER
+from xmarl_bench.explain.adapters import as_explainer
 from xmarl_bench.explain.explainer import Explainer, on_device
-from xmarl_bench.explain.simulator import SIMULATOR
 from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.isolation.policies import is_code_here, isolate_policy
@@ -31,24 +28,23 @@ from xmarl_bench.plugins.registry import (
     ask_policy,
     checked_name,
     find_explainer,
-    is_shipped_code,
     isolated,
     open_policy,
 )
-from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
+from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.policy.device import CPU
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.reproducible import torch_defaults
 from xmarl_bench.rollout.cell import Cell, Sampling, check_parallel
 from xmarl_bench.scoring.cache import Cache, Memory
-from xmarl_bench.scoring.cell_result import Controls, cell_result, total_cost
+from xmarl_bench.scoring.cell_result import Controls
+from xmarl_bench.scoring.entry_records import entry_of
 from xmarl_bench.scoring.piece_keys import Keys
 from xmarl_bench.scoring.pieces import Piece, Plan
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.results import Results
 from xmarl_bench.scoring.run_record import RunRecord
 from xmarl_bench.scoring.sweep import Sweep
-from xmarl_bench.scoring.task_record import task_record
 from xmarl_bench.tasks.sources import open_task
 
 
@@ -203,7 +199,7 @@ def score_requests(
         if error is not None:
             yield Failed(plan.request, error)
             continue
-        yield _entry(plan, results, controls, started, workers.jobs or 1, submitter)
+        yield entry_of(plan, results, controls, started, workers.jobs or 1, submitter)
 
 
 def _complete(plans: Sequence[Plan], unsettled: Collection[str], settled: Iterable[Piece]) -> Iterator[int]:
@@ -248,70 +244,3 @@ def _by_name(requests: Sequence[Request]) -> dict[str, Explainer]:
         if explainers.setdefault(explainer.name, explainer) != explainer:
             raise InputError(f"two explainers are named {explainer.name!r}: rename one.")
     return explainers
-
-
-def _entry(
-    plan: Plan, results: Results, controls: Controls, started: str, jobs: int, submitter: str | None
-) -> Entry:
-    request = plan.request
-    card, sampling = request.card, request.sampling
-    cells = [
-        cell_result(request, cell, needed, results, controls)
-        for cell, needed in zip(request.cells, plan.needs, strict=True)
-    ]
-    return make_entry(
-        submitter=submitter,
-        policy=PolicyRecord(
-            name=card.name,
-            task=card.task,
-            n_agents=card.n_agents,
-            weights_sha256=card.weights_sha256,
-            architecture=card.architecture,
-            attention_entropy=card.attention_entropy,
-            training_seed=card.training_seed,
-            trusted_code=isinstance(card.architecture, CodeArchitecture),
-            isolated=False if is_code_here(request.policy, card) else None,
-        ),
-        explainer=explainer_record(request.explainer, sampling.seed),
-        protocol=Protocol(
-            episodes=sampling.episodes,
-            seeds=tuple(sampling.seeds),
-            timesteps=sampling.timesteps,
-            definitions=definitions(card.architecture.distribution),
-            tasks=_task_records(request.cells),
-        ),
-        results=tuple(result for result, _ in cells),
-        cost=total_cost([cost for _, cost in cells]),
-        provenance=provenance(
-            started, jobs, None if request.explainer.device == CPU else request.explainer.device
-        ),
-    )
-
-
-def _task_records(cells: Sequence[Cell]) -> dict[str, TaskRecord] | None:
-    """The records of the tasks that are not of xmarl_envs, by name; None without one."""
-    records = {cell.task: task_record(cell) for cell in cells}
-    return {name: record for name, record in records.items() if record is not None} or None
-
-
-def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:
-    """The record of an explainer in an entry. seed: of the run."""
-    origin = origin_of_explainer(explainer)
-    return ExplainerRecord(
-        name=explainer.name,
-        distribution=origin.distribution,
-        version=origin.version,
-        entry_point=origin.entry_point,
-        hyperparameters=dict(explainer.hyperparameters),
-        stochastic=explainer.stochastic,
-        control=explainer.control,
-        seed=seed,
-        batched=explainer.batched,
-        binary=explainer.binary,
-        signed=NORMALISER if explainer.signed else None,
-        node_importance=explainer.node_importance,
-        needs_fit=explainer.fit is not None,
-        accesses=SIMULATOR if explainer.simulates else explainer.accesses,
-        code_sha256=origin.code_sha256,
-        isolated=None if explainer.elsewhere is not None or is_shipped_code(explainer) else False,
-    )

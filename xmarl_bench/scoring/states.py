@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xmarl_bench.entry.schema import BudgetRow, ExplanationRow, PolicyRow
+from xmarl_bench.entry.metric_records import BudgetRow, ExplanationRow, PolicyRow
 from xmarl_bench.explain.effect import action_divergence
 from xmarl_bench.explain.oracle import oracle_kind
 from xmarl_bench.metrics import (

@@ -16,16 +16,9 @@ from pydantic import TypeAdapter, ValidationError
 from xmarl_envs import TASKS
 
 from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER, SANITY, sampling_error
+from xmarl_bench.entry.metric_records import BudgetRow, ControlMetrics, EpisodeRow, Metrics, Summary
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES, SAMPLED, SANITY_EPISODES, definitions
-from xmarl_bench.entry.schema import (
-    BudgetRow,
-    CellResult,
-    ControlMetrics,
-    Entry,
-    EpisodeRow,
-    Metrics,
-    Summary,
-)
+from xmarl_bench.entry.schema import CellResult, Entry
 from xmarl_bench.metrics.budgeted_fidelity import SMALLEST, Floats, budgeted_fidelity, over_absences
 from xmarl_bench.metrics.table import OPTIONAL, OTHER_ABSENCES, UNDER_ABSENCES
 from xmarl_bench.records.strict_json import shown

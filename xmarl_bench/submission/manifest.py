@@ -10,7 +10,9 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from xmarl_bench.entry.schema import Entry, EpisodeRow, Record
+from xmarl_bench.entry.metric_records import EpisodeRow
+from xmarl_bench.entry.record import Record
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.metrics.table import OPTIONAL
 from xmarl_bench.records.csv_cells import csv_cell
 from xmarl_bench.records.field_types import Count, Person, Sha256, Text

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from xmarl_bench.entry.aggregation import metrics_of_cell
-from xmarl_bench.entry.schema import Entry, Metrics, Summary
+from xmarl_bench.entry.metric_records import Metrics, Summary
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.submission.consistency import close
 
 

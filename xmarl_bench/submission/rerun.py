@@ -15,8 +15,9 @@ from itertools import zip_longest
 import numpy as np
 
 from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER
+from xmarl_bench.entry.metric_records import BudgetRow, EpisodeRow
 from xmarl_bench.entry.protocol import SANITY_EPISODES
-from xmarl_bench.entry.schema import BudgetRow, CellResult, Entry, EpisodeRow, ExplainerRecord
+from xmarl_bench.entry.schema import CellResult, Entry, ExplainerRecord
 from xmarl_bench.explain.controls import controls_of
 from xmarl_bench.explain.explainer import Explainer, fitted
 from xmarl_bench.explain.simulator import Simulator

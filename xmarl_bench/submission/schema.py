@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from xmarl_bench.entry.schema import Entry, Record
+from xmarl_bench.entry.record import Record
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.records.files import pretty_json, write_atomically
 from xmarl_bench.submission.manifest import Manifest
 

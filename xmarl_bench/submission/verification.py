@@ -30,7 +30,7 @@ from xmarl_bench.plugins.registry import ask_explainer, find_explainer
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.records.strict_json import printable, shown
 from xmarl_bench.reproducible import fresh_seeds
-from xmarl_bench.scoring.score import explainer_record
+from xmarl_bench.scoring.entry_records import explainer_record
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
 from xmarl_bench.submission.consistency import CLOSE
 from xmarl_bench.submission.fresh import Fresh, score_fresh

@@ -12,7 +12,8 @@ from tests.helpers.policies import small_policy
 from xmarl_bench.board import board_of, build_board
 from xmarl_bench.entry import partial
 from xmarl_bench.entry.file import write_entry
-from xmarl_bench.entry.schema import Entry, Record, make_entry
+from xmarl_bench.entry.record import Record
+from xmarl_bench.entry.schema import Entry, make_entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.control_names import NEAREST
 from xmarl_bench.explain.controls import CONTROLS

@@ -14,7 +14,8 @@ from tests.conftest import MakeBundle
 from tests.helpers.made_entries import made_entry
 from xmarl_bench.entry.aggregation import Acted, cell_metrics, metrics_of_cell, summarise
 from xmarl_bench.entry.file import read_entry, write_entry
-from xmarl_bench.entry.schema import Entry, EpisodeRow, Metrics, Summary, Verification, entry_id
+from xmarl_bench.entry.metric_records import EpisodeRow, Metrics, Summary
+from xmarl_bench.entry.schema import Entry, Verification, entry_id
 from xmarl_bench.errors import InputError
 from xmarl_bench.records.files import canonical_json, write_json
 from xmarl_bench.scoring.score import score

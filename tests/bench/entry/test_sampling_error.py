@@ -8,7 +8,7 @@ import pytest
 
 from tests.helpers.made_entries import made_entry
 from xmarl_bench.entry.aggregation import sampling_error
-from xmarl_bench.entry.schema import BudgetRow, EpisodeRow
+from xmarl_bench.entry.metric_records import BudgetRow, EpisodeRow
 
 
 def budget(errors: tuple[float | None, ...] | None, *room: float) -> BudgetRow:

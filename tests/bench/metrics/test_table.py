@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 import xmarl_bench
+from xmarl_bench.entry.metric_records import EpisodeRow, ExplanationRow, Metrics
 from xmarl_bench.entry.protocol import DEFINITIONS
-from xmarl_bench.entry.schema import EpisodeRow, ExplanationRow, Metrics, PolicyRecord
+from xmarl_bench.entry.schema import PolicyRecord
 from xmarl_bench.metrics.table import GAINS, METRICS, ORDER, SUCCESS, Direction, Group, by_name, names_of
 from xmarl_bench.scoring.rankings import number
 

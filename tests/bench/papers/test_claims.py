@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from xmarl_bench.entry.schema import EpisodeRow
+from xmarl_bench.entry.metric_records import EpisodeRow
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.papers.kailas2025.beyond_claims import BEYOND_CLAIMS
 from xmarl_bench.papers.kailas2025.claims import (

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.helpers.example_plugins import BAD
 from tests.helpers.policies import random_observations, small_policy
-from xmarl_bench.entry.schema import ExplanationRow
+from xmarl_bench.entry.metric_records import ExplanationRow
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer

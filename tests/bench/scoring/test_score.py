@@ -12,7 +12,8 @@ from xmarl_envs import TASKS
 from tests.conftest import MakeBundle
 from tests.helpers.example_plugins import BAD, slow
 from xmarl_bench.entry.file import write_entry
-from xmarl_bench.entry.schema import BehaviourMetrics, Entry
+from xmarl_bench.entry.metric_records import BehaviourMetrics
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.metrics.table import UNDER_ABSENCES

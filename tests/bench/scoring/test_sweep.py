@@ -16,7 +16,8 @@ from tests.conftest import MakeBundle
 from tests.helpers.example_plugins import BAD
 from xmarl_bench.entry import aggregation
 from xmarl_bench.entry.aggregation import summarise
-from xmarl_bench.entry.schema import Entry, Summary
+from xmarl_bench.entry.metric_records import Summary
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.metrics.statistics import percentile_interval

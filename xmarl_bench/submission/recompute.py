@@ -8,7 +8,7 @@ from typing import NamedTuple
 from xmarl_bench.entry.aggregation import metrics_of_cell
 from xmarl_bench.entry.metric_records import Metrics, Summary
 from xmarl_bench.entry.schema import Entry
-from xmarl_bench.submission.consistency import close
+from xmarl_bench.submission.rounding import close
 
 
 class Difference(NamedTuple):

@@ -32,10 +32,10 @@ from xmarl_bench.records.strict_json import printable, shown
 from xmarl_bench.reproducible import fresh_seeds
 from xmarl_bench.scoring.entry_records import explainer_record
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
-from xmarl_bench.submission.consistency import CLOSE
 from xmarl_bench.submission.fresh import Fresh, score_fresh
 from xmarl_bench.submission.recompute import Difference
 from xmarl_bench.submission.rerun import Rerun, record_findings, rerun
+from xmarl_bench.submission.rounding import CLOSE
 from xmarl_bench.submission.tolerance import AGGREGATES, Platform, agrees, disagreeing, is_same_platform
 
 WALLS: dict[Wall, str] = {

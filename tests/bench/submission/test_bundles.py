@@ -20,7 +20,7 @@ from xmarl_bench.explain.control_names import INITIAL_ATTENTION, INVERTED, NEARE
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.policy.untrusted import WEIGHTS
 from xmarl_bench.records.files import pretty_json
-from xmarl_bench.submission import consistency
+from xmarl_bench.submission import control_consistency
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.checking import check
 from xmarl_bench.submission.schema import PUBLISHED, schema
@@ -214,7 +214,11 @@ def test_validating_does_not_import_torch(
 
 
 def test_names_of_controls_agree() -> None:
-    known = consistency.ALWAYS_PRESENT | consistency.IF_ORACLE | consistency.IF_INITIAL_SEED
+    known = (
+        control_consistency.ALWAYS_PRESENT
+        | control_consistency.IF_ORACLE
+        | control_consistency.IF_INITIAL_SEED
+    )
     assert {*CONTROLS, NEAREST, INITIAL_ATTENTION, INVERTED} == known
 
 

@@ -35,7 +35,7 @@ def answer_of(ranking: Json | None) -> list[str]:
     ranked.sort(key=lambda row: row["rank"])
     best = [row for row in ranked if row["rank"] == 1]
     names = _listed([row["explainer"] for row in best])
-    over = _policies(best[0]["n_policies"])
+    over = _policies(best[0], ranking)
     said = [
         f"{names} {_verb(best, 'leads', 'lead')} with a {METRIC.title} of {_value(best[0])}, over {over}."
     ]
@@ -54,16 +54,17 @@ def beats(row: Json, control: str) -> bool | None:
 
 def answer_about(name: str, ranking: Json | None) -> list[str]:
     """Sentences about one explainer of a ranking."""
-    row = next((r for r in (ranking or {"rows": []})["rows"] if r["explainer"] == name), None)
+    ranking = ranking or {"rows": []}
+    row = next((r for r in ranking["rows"] if r["explainer"] == name), None)
     if row is None:
         return [f"`{name}` is not ranked here: it was scored on no policy that is."]
     if row["rank"] is None:
         return [f"`{name}` is not ranked here: {row.get('reason', 'it is a control')}."]
-    ranked = sum(each["rank"] is not None for each in (ranking or row)["rows"])
+    ranked = sum(each["rank"] is not None for each in ranking["rows"])
     within = "" if row["rank_interval"] is None else " (95 %: {} to {})".format(*row["rank_interval"])
     said = [
         f"`{name}` has rank {row['rank']} of {ranked}{within}, with a {METRIC.title} of {_value(row)}, over "
-        f"{_policies(row['n_policies'])}."
+        f"{_policies(row, ranking)}."
     ]
     for control in BEATEN:
         above = row["above"][control]
@@ -156,8 +157,12 @@ def difference(found: Json) -> str:
     return number(found["difference"]) + known
 
 
-def _policies(n: int) -> str:
-    return "1 policy, whose episodes are the units" if n == 1 else f"{n} policies"
+def _policies(row: Json, ranking: Json) -> str:
+    if row["n_policies"] == 1:
+        return "1 policy, whose episodes are the units"
+    n = ranking["n_trainings"]
+    independent = "" if n == row["n_policies"] else f" ({counted(n, 'independent training')})"
+    return f"{row['n_policies']} policies{independent}"
 
 
 def _verb(rows: Sequence[Json], one: str, several: str) -> str:

@@ -15,6 +15,7 @@ from xmarl_bench.entry.mask_digest import mask_digest
 from xmarl_bench.entry.metric_records import ControlMetrics, Metrics
 from xmarl_bench.entry.partial import partial_reason
 from xmarl_bench.entry.schema import CellResult, Entry
+from xmarl_bench.entry.training import training_of
 from xmarl_bench.records.files import canonical_json
 
 Json = dict[str, Any]
@@ -58,6 +59,7 @@ def policy_record(entry: Entry, cell: CellResult) -> Json:
         "attention_entropy": entry.policy.attention_entropy,
         "architecture": entry.policy.architecture.model_dump(mode="json"),
         "training_seed": entry.policy.training_seed,
+        "training": training_of(entry.policy),
         "trained_n_agents": entry.policy.n_agents,
         "oracle_error": None if cell.oracle is None else cell.oracle.error,
         "metrics": _shown(cell.metrics, POLICY_METRICS, entry.protocol.episodes),

@@ -1,8 +1,9 @@
 """Rankings over policies, which are then the units.
 
 Explainers are ranked by the mean of the order, which is normalised for each policy (0 a random ranking, 1 the
-best one), unlike the paper's metrics. A policy in a team of another size than in training is ranked in that
-cell, but not over all cells, where its training run would count twice.
+best one), unlike the paper's metrics. Policies whose trainings share a start form a cluster. A policy in a
+team of another size than in training is ranked in that cell, but not over all cells, where its training run
+would count twice.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from xmarl_bench.board.columns import MOST, ORDER, PAPER
 from xmarl_bench.board.entry_rows import Group, Json, value_of, values_of
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.explain.control_names import NEAREST, RANDOM
-from xmarl_bench.metrics.statistics import interquartile_mean, over_units, student_interval
+from xmarl_bench.metrics.statistics import interquartile_mean, over_runs, over_units
 
 BEATEN = (RANDOM, NEAREST)  # controls that an explainer has to beat
 TIERS = ("", "unverified", "recomputed", "spot-rerun", "re-executed")  # of verification, worst first
@@ -53,14 +54,19 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
     blocks = [
         np.stack([group.episodes[rows[name][g]["file"]] for name in names]) for g, group in enumerate(groups)
     ]
-    found = places(means, blocks, MOST)
+    trainings = [group.policy["training"] for group in groups]
+    found = places(means, blocks, MOST, trainings)
     control_rows = [
         {row["explainer"]: row for row in group.rows if row["control"] and value_of(row) is not None}
         for group in groups
     ]
     ranked = [
         _ranking_row(name, rows[name], False, place)
-        | {"above": {each: _above(rows[name], [c.get(each) for c in control_rows]) for each in BEATEN}}
+        | {
+            "above": {
+                each: _above(rows[name], [c.get(each) for c in control_rows], trainings) for each in BEATEN
+            }
+        }
         for name, place in zip(names, found, strict=True)
     ]
     partial = sorted({name for each in by_name for name in each} - set(names))
@@ -79,14 +85,15 @@ def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
              "n_agents": pairs[k][0]["n_agents"], "trained_n_agents": pairs[k][1].policy["trained_n_agents"]}
             for k in chosen
         ],
-        "lead": _lead(found, names, blocks),
+        "n_trainings": len(set(trainings)),
+        "lead": _lead(found, names, blocks, trainings),
         "rows": sorted(
             ranked + unranked + ranked_controls, key=lambda row: (-row["value"], row["explainer"])
         ),
     }  # fmt: skip
 
 
-def _above(rows: Sequence[Json], controls: Sequence[Json | None]) -> Json | None:
+def _above(rows: Sequence[Json], controls: Sequence[Json | None], trainings: Sequence[str]) -> Json | None:
     """How far an explainer is above a control: mean over policies of the difference, with its interval.
 
     Of a single policy, whose entry holds no episodes of controls, the interval is that of the difference of
@@ -98,8 +105,9 @@ def _above(rows: Sequence[Json], controls: Sequence[Json | None]) -> Json | None
     difference = np.array(values_of(rows)) - np.array(values_of(known))
     value = round(float(difference.mean()), DIGITS)
     if len(rows) > 1:
-        low, high = student_interval(np.round(difference, DIGITS))
-        return {"difference": value, "interval": [float(low), float(high)]}
+        units = np.round(difference, DIGITS)[:, None]
+        found = over_runs(list(units), list(np.zeros_like(units)), clusters=trainings)
+        return {"difference": value, "interval": None if found.interval is None else list(found.interval)}
     intervals = [each["metrics"][ORDER["by"]]["interval"] for each in (rows[0], known[0])]
     if None in intervals:
         return {"difference": value, "interval": None}
@@ -107,14 +115,16 @@ def _above(rows: Sequence[Json], controls: Sequence[Json | None]) -> Json | None
     return {"difference": value, "interval": [value - half, value + half]}
 
 
-def _lead(found: Sequence[Place], names: Sequence[str], blocks: Sequence[Floats]) -> Json | None:
+def _lead(
+    found: Sequence[Place], names: Sequence[str], blocks: Sequence[Floats], trainings: Sequence[str]
+) -> Json | None:
     """The first explainer's lead over the best one that differs from it significantly; None without one."""
     order = sorted(range(len(names)), key=lambda r: (found[r].rank, names[r]))
     beaten = [r for r in order if found[r].tie_group != 1]
     if not beaten:
         return None
     first, second = ([block[r] for block in blocks] for r in (order[0], beaten[0]))
-    lead = over_units(first, second)
+    lead = over_units(first, second, clusters=trainings)
     return {"over": names[beaten[0]], "difference": lead.value, "interval": lead.interval}
 
 

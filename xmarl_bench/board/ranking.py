@@ -1,7 +1,8 @@
 """Ranks competitors, with intervals of ranks and tie groups.
 
 Comparisons are paired: competitors are compared on the same units. With several policies the units are
-training runs, with a single policy its episodes (xmarl_bench.metrics.statistics).
+training runs, in clusters where they share a start, with a single policy its episodes
+(xmarl_bench.metrics.statistics).
 """
 
 from __future__ import annotations
@@ -13,7 +14,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_bench.metrics.statistics import CONFIDENCE, groups_by_head, holm, student_interval, student_p
+from xmarl_bench.metrics.statistics import (
+    CONFIDENCE,
+    Clusters,
+    groups_by_head,
+    holm,
+    n_independent,
+    student_interval,
+    student_p,
+)
 
 DIGITS = 6  # decimal digits; smaller differences are rounding, as between attention and attention-rowmax
 
@@ -32,26 +41,31 @@ class Place:
     tie_group: int  # from 1; members do not differ significantly from the first of the group
 
 
-def places(values: Sequence[float], blocks: Sequence[Floats], most: float = np.inf) -> list[Place]:
+def places(
+    values: Sequence[float],
+    blocks: Sequence[Floats],
+    most: float = np.inf,
+    clusters: Clusters | None = None,
+) -> list[Place]:
     """The places of R competitors.
 
     values: R means, which give the order. They count as equal if DIGITS digits are.
     blocks: for each policy the competitors' episodes (R, E_g), NaN if a value is not a number. An episode
         counts if all competitors have a number.
-    most: the largest possible value, at which intervals end.
+    most: the largest possible value, at which intervals end. clusters: of the policies.
     """
     if not values:
         return []
     rounded = np.round(np.asarray(values), DIGITS)
     order = np.argsort(-rounded, kind="stable")
     ranks = 1 + (rounded[None, :] > rounded[:, None]).sum(axis=1)
-    units = _units(blocks)
+    units, labels = _units(blocks, clusters)
     n = len(values)
-    if units.shape[1] < 2:
+    if n_independent(units, labels) < 2:
         return [Place(int(rank), None, None, 1) for rank in ranks]
-    low, high = student_interval(units)
+    low, high = student_interval(units, clusters=labels)
     difference = np.round(units[:, None] - units[None, :], DIGITS)  # (R, R, U)
-    p, better = student_p(difference), difference.mean(axis=-1) > 0.0
+    p, better = student_p(difference, clusters=labels), difference.mean(axis=-1) > 0.0
     sure = np.zeros((n, n), dtype=bool)
     for r in range(n):
         others = np.delete(np.arange(n), r)
@@ -71,14 +85,15 @@ def places(values: Sequence[float], blocks: Sequence[Floats], most: float = np.i
     ]
 
 
-def _units(blocks: Sequence[Floats]) -> Floats:
-    """(R, U): means of the policies, or the episodes of a single one."""
+def _units(blocks: Sequence[Floats], clusters: Clusters | None) -> tuple[Floats, Clusters | None]:
+    """(R, U) means of the policies with their clusters, or the episodes of a single policy."""
     complete = [block[:, ~np.isnan(block).any(axis=0)] for block in blocks]
-    complete = [block for block in complete if block.shape[1]]
     if len(blocks) == 1:
-        return complete[0] if complete else blocks[0][:, :0]
-    means = [block.mean(axis=1) for block in complete]
-    return np.stack(means, axis=1) if means else blocks[0][:, :0]
+        return complete[0], None
+    kept = [k for k, block in enumerate(complete) if block.shape[1]]
+    means = [complete[k].mean(axis=1) for k in kept]
+    labels = None if clusters is None else [clusters[k] for k in kept]
+    return np.stack(means, axis=1) if means else blocks[0][:, :0], labels
 
 
 def complete_part(scored: Mapping[Policy, Sequence[Explainer]]) -> tuple[list[Policy], list[Explainer]]:

@@ -70,5 +70,6 @@ class Scores:
     def difference(self, metric: str, a: str, b: str) -> Difference:
         """Mean over policies of a less b."""
         values = zip(self.of_policies(metric, a), self.of_policies(metric, b), strict=True)
-        pairs = [(x, y) for x, y in values if not np.isnan([x, y]).any()]
-        return over_runs([[x] for x, _ in pairs], [[y] for _, y in pairs])
+        trainings = [policy["training"] for policy in self.policies]
+        pairs = [([x], [y]) for x, y in values]
+        return over_runs([x for x, _ in pairs], [y for _, y in pairs], clusters=trainings)

@@ -29,7 +29,7 @@ from xmarl_bench.explain.control_names import INVERTED
 from xmarl_bench.records.field_types import rounded
 from xmarl_bench.records.files import canonical_json
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 
 def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:

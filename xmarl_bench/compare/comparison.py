@@ -1,9 +1,10 @@
 """Compares explainers on the same policies and states: differences, intervals, tests and tie groups.
 
-Differences are paired. With several policies each one is a unit, with a single policy each episode. Intervals
-are Student's; the p-values of the paired t-test are corrected by Holm for all pairs of the table
-(xmarl_bench.metrics.statistics). Interquartile mean, performance profile and probability of improvement are
-those of Agarwal et al. (2021): the policies of a cell are its runs.
+Differences are paired. With several policies each one is a unit, with a single policy each episode. Policies
+whose trainings share a start are a cluster. Intervals are Student's; the p-values of the paired t-test are
+corrected by Holm for all pairs of the table (xmarl_bench.metrics.statistics). Interquartile mean,
+performance profile and probability of improvement are those of Agarwal et al. (2021): the policies of a cell
+are its runs.
 """
 
 from __future__ import annotations
@@ -75,7 +76,8 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
     values = {explainer: _values(blocks, explainer, metric) for explainer in blocks}
     sign = -1.0 if BETTER[metric] is Direction.LOWER else 1.0
     zeros = [np.zeros_like(block) for block in next(iter(values.values()))]
-    means = {name: over_units(each, zeros) for name, each in values.items()}
+    trainings = [block.training for block in next(iter(blocks.values())).values()]
+    means = {name: over_units(each, zeros, clusters=trainings) for name, each in values.items()}
     without = sorted(name for name, mean in means.items() if mean.value is None)
     if without:
         raise InputError(
@@ -84,7 +86,7 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
         )
     order = sorted(values, key=lambda name: (-sign * (means[name].value or 0.0), name))
     pairs = list(combinations(order, 2))
-    differences = {(a, b): over_units(values[a], values[b]) for a, b in pairs}
+    differences = {(a, b): over_units(values[a], values[b], clusters=trainings) for a, b in pairs}
     groups = groups_by_head(len(order), lambda head, k: differences[order[head], order[k]].holds_zero)
     p = [each.p for each in differences.values() if each.p is not None]
     corrected = iter(holm(p).tolist())
@@ -119,7 +121,7 @@ def _scores(values: Sequence[Floats]) -> Floats:
 def _runs(blocks: Blocks, explainer: str, values: Sequence[Floats], sign: float) -> dict[str, list[float]]:
     """Cell -> means of its policies, or the episodes of a single policy. Higher is better."""
     runs: dict[str, list[float]] = {}
-    for cell, each in zip(blocks[explainer].values(), values, strict=True):
+    for (cell, _), each in zip(blocks[explainer].values(), values, strict=True):
         mean = sign * (each if len(values) == 1 else np.nanmean(each, keepdims=True))
         runs.setdefault(f"{cell.task}, {cell.n_agents} agents", []).extend(mean[~np.isnan(mean)].tolist())
     return runs
@@ -128,7 +130,7 @@ def _runs(blocks: Blocks, explainer: str, values: Sequence[Floats], sign: float)
 def _values(blocks: Blocks, explainer: str, metric: str) -> list[Floats]:
     """The metric's values for each policy and cell; NaN if an episode has no number."""
     found = []
-    for states, cell in blocks[explainer].items():
+    for states, (cell, _) in blocks[explainer].items():
         if metric in cell.not_measured:
             raise InputError(
                 f"{metric} was not measured for {named(explainer, states)} ({cell.not_measured[metric]}): "

@@ -5,14 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from xmarl_bench.counted import counted
 from xmarl_bench.entry.file import folder_of_entries, read_entries, read_entry
 from xmarl_bench.entry.schema import CellResult, Entry
+from xmarl_bench.entry.training import training_of
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.records.files import canonical_json
 
-Blocks = dict[str, dict[str, CellResult]]  # explainer -> states (the same for all explainers) -> its cell
+
+class Block(NamedTuple):
+    """An explainer's results on one policy in one cell."""
+
+    cell: CellResult
+    training: str  # of the policy, see `training_of`
+
+
+Blocks = dict[str, dict[str, Block]]  # explainer -> states (the same for all explainers) -> its results
 
 
 def read_named(
@@ -82,7 +92,7 @@ def shared_states(entries: Sequence[Entry]) -> list[Entry]:
 
 
 def blocks_of(entries: Sequence[Entry]) -> Blocks:
-    """The cells of each explainer, by states. Raises InputError if the explainers have different states.
+    """The results of each explainer, by states. Raises InputError if the explainers have different states.
 
     Entries are paired by episode, so all explainers need entries on the same policies, cells, protocols and
     seeds.
@@ -102,7 +112,7 @@ def blocks_of(entries: Sequence[Entry]) -> Blocks:
             cells = blocks.setdefault(entry.explainer.name, {})
             if name in cells:
                 raise InputError(f"there are two entries of {named(entry.explainer.name, name)}: give one.")
-            cells[name] = cell
+            cells[name] = Block(cell, training_of(entry.policy))
     if len(blocks) < 2:
         raise InputError(
             f"a comparison needs two explainers, got {', '.join(blocks) or 'none'}: give entries of two."

@@ -3,19 +3,20 @@
 A statement about one policy has episodes as units, because the timesteps of an episode are autocorrelated. A
 statement about a cell or an architecture has training runs as units: many episodes of one policy are still
 one policy. Intervals are Student's over units: with three runs, a 95 % percentile bootstrap covers only 72 to
-86 %, and pooled episodes of different runs are not a sample of one population. Values that are not a number
-are skipped and counted, never filled in.
+86 %, and pooled episodes of different runs are not a sample of one population. Runs that share the start of
+their training, as with and without a regulariser, are no independent runs: they form a cluster, and intervals
+allow for it. Values that are not a number are skipped and counted, never filled in.
 
-Sources: Student (1908); Welch (1947), independent samples; Efron and Tibshirani, "An Introduction to the
-Bootstrap" (1993), percentile interval of an entry's means; Holm (1979); Agarwal et al. (2021), "Deep
-Reinforcement Learning at the Edge of the Statistical Precipice", interquartile mean and probability of
-improvement; Kerby (2014), rank-biserial correlation.
+Sources: Student (1908); Welch (1947), independent samples; Liang and Zeger (1986), clusters; Efron and
+Tibshirani, "An Introduction to the Bootstrap" (1993), percentile interval of an entry's means; Holm (1979);
+Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the Statistical Precipice", interquartile
+mean and probability of improvement; Kerby (2014), rank-biserial correlation.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from xmarl_bench.errors import InputError
 
 Floats = NDArray[np.float64]
+Clusters = Sequence[Hashable]  # a label for each unit; units of one label are not independent
 RESAMPLES = 5000
 CONFIDENCE = 0.95
 CHUNK = 1_000_000  # numbers drawn at once: bounds memory; every array of 200 episodes or fewer is one chunk
@@ -36,7 +38,7 @@ class Difference:
     value: float | None  # None if no pair is left
     interval: tuple[float, float] | None  # None for fewer than two units
     p: float | None  # of the paired t-test, two-sided; None for fewer than two units
-    units: int  # training runs, or the episodes of a single one
+    units: int  # independent ones: clusters of training runs, or the episodes of a single run
     n: int  # pairs of episodes
     n_nan: int  # pairs skipped because one of the two is not a number
 
@@ -54,25 +56,34 @@ class Difference:
 
 
 def over_runs(
-    a: Sequence[ArrayLike], b: Sequence[ArrayLike], *, confidence: float = CONFIDENCE
+    a: Sequence[ArrayLike],
+    b: Sequence[ArrayLike],
+    *,
+    clusters: Clusters | None = None,
+    confidence: float = CONFIDENCE,
 ) -> Difference:
     """Mean over runs of the mean of a - b over their episodes: one array (E_g,) per run; the run is the unit.
 
-    Skips runs without a complete pair. Raises InputError if the arrays are not pairs.
+    clusters: of the runs. Skips runs without a complete pair. Raises InputError if the arrays are not pairs.
     """
-    runs, n_nan = _pairs(a, b)
-    means = np.array([run.mean() for run in runs])
-    return _difference(means, sum(run.size for run in runs), n_nan, confidence)
+    pairs, n_nan = _pairs(a, b)
+    kept = [k for k, run in enumerate(pairs) if run.size]
+    means = np.array([pairs[k].mean() for k in kept])
+    labels = None if clusters is None else [clusters[k] for k in kept]
+    return _difference(means, sum(run.size for run in pairs), n_nan, confidence, labels)
 
 
 def over_units(
-    a: Sequence[ArrayLike], b: Sequence[ArrayLike], *, confidence: float = CONFIDENCE
+    a: Sequence[ArrayLike],
+    b: Sequence[ArrayLike],
+    *,
+    clusters: Clusters | None = None,
+    confidence: float = CONFIDENCE,
 ) -> Difference:
     """As `over_runs`; a single run gives a statement about this run alone, with its episodes as units."""
     if len(a) != 1:
-        return over_runs(a, b, confidence=confidence)
-    runs, n_nan = _pairs(a, b)
-    episodes = runs[0] if runs else np.array([])
+        return over_runs(a, b, clusters=clusters, confidence=confidence)
+    (episodes,), n_nan = _pairs(a, b)
     return _difference(episodes, episodes.size, n_nan, confidence)
 
 
@@ -100,28 +111,36 @@ def over_samples(a: ArrayLike, b: ArrayLike, *, confidence: float = CONFIDENCE) 
     return Difference(value, (value - half, value + half), p, n, n, n_nan)
 
 
-def student_interval(units: Floats, confidence: float = CONFIDENCE) -> tuple[Floats, Floats]:
-    """(..., U) -> low and high (...) of the mean over the last axis, for two units or more."""
+def student_interval(
+    units: Floats, confidence: float = CONFIDENCE, *, clusters: Clusters | None = None
+) -> tuple[Floats, Floats]:
+    """(..., U) -> low and high (...) of the mean over the last axis, for two independent units or more."""
     from scipy.special import stdtrit  # imported lazily: reading entries does not need scipy
 
-    n = units.shape[-1]
-    mean = units.sum(axis=-1) / n
-    half = stdtrit(n - 1, 0.5 + confidence / 2) * _standard_error(units)
+    mean = units.sum(axis=-1) / units.shape[-1]
+    half = stdtrit(n_independent(units, clusters) - 1, 0.5 + confidence / 2) * _standard_error(
+        units, clusters
+    )
     return mean - half, mean + half
 
 
-def student_p(units: Floats) -> Floats:
-    """(..., U) -> (...): two-sided p of a mean of 0 over the last axis, for two units or more.
+def student_p(units: Floats, *, clusters: Clusters | None = None) -> Floats:
+    """(..., U) -> (...): two-sided p of a mean of 0 over the last axis, for two independent units or more.
 
     If all units are equal, p is 1 if they are 0, and 0 otherwise.
     """
     from scipy.special import stdtr
 
-    n = units.shape[-1]
-    mean, error = np.abs(units.sum(axis=-1) / n), _standard_error(units)
+    mean = np.abs(units.sum(axis=-1) / units.shape[-1])
+    error = _standard_error(units, clusters)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.where(error > 0.0, mean / error, np.where(mean > 0.0, np.inf, 0.0))
-    return np.asarray(2.0 * stdtr(n - 1, -t))
+    return np.asarray(2.0 * stdtr(n_independent(units, clusters) - 1, -t))
+
+
+def n_independent(units: Floats, clusters: Clusters | None) -> int:
+    """The number of units (..., U) that are independent: clusters, if there are any."""
+    return units.shape[-1] if clusters is None else len(set(clusters))
 
 
 def percentile_interval(
@@ -204,22 +223,32 @@ def groups_by_head(n: int, tied: Callable[[int, int], bool]) -> list[int]:
     return groups
 
 
-def _difference(units: Floats, n: int, n_nan: int, confidence: float) -> Difference:
+def _difference(
+    units: Floats, n: int, n_nan: int, confidence: float, clusters: Clusters | None = None
+) -> Difference:
     if not units.size:
         return Difference(None, None, None, 0, n, n_nan)
-    value = float(units.mean())
-    if units.size < 2:
-        return Difference(value, None, None, 1, n, n_nan)
-    low, high = student_interval(units, confidence)
-    return Difference(value, (float(low), float(high)), float(student_p(units)), units.size, n, n_nan)
+    value, independent = float(units.mean()), n_independent(units, clusters)
+    if independent < 2:
+        return Difference(value, None, None, independent, n, n_nan)
+    low, high = student_interval(units, confidence, clusters=clusters)
+    p = float(student_p(units, clusters=clusters))
+    return Difference(value, (float(low), float(high)), p, independent, n, n_nan)
 
 
-def _standard_error(units: Floats) -> Floats:
-    return np.asarray(units.std(axis=-1, ddof=1) / math.sqrt(units.shape[-1]))
+def _standard_error(units: Floats, clusters: Clusters | None = None) -> Floats:
+    """Of the mean over the last axis; robust to what units of one cluster have in common."""
+    n = units.shape[-1]
+    if clusters is None or len(set(clusters)) == n:
+        return np.asarray(units.std(axis=-1, ddof=1) / math.sqrt(n))
+    labels = list(dict.fromkeys(clusters))
+    members = np.array([[each == label for label in labels] for each in clusters], dtype=np.float64)
+    sums = (units - units.mean(axis=-1, keepdims=True)) @ members
+    return np.asarray(np.sqrt(np.square(sums).sum(axis=-1) * len(labels) / (len(labels) - 1)) / n)
 
 
 def _pairs(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> tuple[list[Floats], int]:
-    """a - b of each run where both are numbers, and the number of other pairs. Skips runs without pairs."""
+    """a - b of each run where both are numbers, maybe nowhere, and the number of other pairs."""
     if len(a) != len(b):
         raise InputError(
             f"{len(a)} policies cannot be paired with {len(b)}: give values of the same policies."
@@ -233,8 +262,7 @@ def _pairs(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> tuple[list[Floats]
             )
         difference = (x - y)[~np.isnan(x - y)]
         n_nan += x.size - difference.size
-        if difference.size:
-            runs.append(difference)
+        runs.append(difference)
     return runs, n_nan
 
 

@@ -13,10 +13,13 @@ from xmarl_bench.board.entry_rows import Json
 from xmarl_bench.board.regulariser import families_of, regulariser_of
 
 
-def ranking(levels: Mapping[str, Sequence[float]]) -> Json:
-    """The ranking of explainers with these message fidelities, one for each policy; controls have 0.1."""
+def ranking(levels: Mapping[str, Sequence[float]], runs: int = 1) -> Json:
+    """The ranking of explainers with these message fidelities, one for each policy; controls have 0.1.
+
+    runs: policies in a row that have one training seed.
+    """
     board = board_of(
-        (f"{name}{k}", made_entry(f"p{k}", name, 0.5, message_fidelity=level))
+        (f"{name}{k}", made_entry(f"p{k}", name, 0.5, training_seed=k // runs, message_fidelity=level))
         for name, each in levels.items()
         for k, level in enumerate(each)
     )
@@ -33,6 +36,14 @@ def test_a_clear_winner() -> None:
         "All are better than `random`.",
         "All are better than `nearest`.",
     ]
+
+
+def test_policies_of_one_seed_count_as_one() -> None:
+    """Means of the pairs are 0.9 and 0.8: Student's half width with 1 degree of freedom is 12.706 x 0.05."""
+    found = ranking({"a": [0.9, 0.9, 0.8, 0.8], "b": [0.9, 0.8, 0.6, 0.6]}, runs=2)
+    (first, second, *_) = answer_of(found)
+    assert first.endswith("0.850 (95 %: 0.215 to 1.000), over 4 policies (2 independent trainings).")
+    assert second == "No other explainer differs significantly from the first."
 
 
 def test_a_tie_is_not_a_win() -> None:

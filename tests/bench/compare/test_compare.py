@@ -33,7 +33,15 @@ def entry() -> Entry:
     return made.model_copy(update={"results": (unplayed,)})
 
 
-def like(entry: Entry, explainer: str, values: Values, *, policy: str = "small", **changes: object) -> Entry:
+def like(
+    entry: Entry,
+    explainer: str,
+    values: Values,
+    *,
+    policy: str = "small",
+    seed: int | None = None,
+    **changes: object,
+) -> Entry:
     """Another entry on the same states, with these values of FidDelta and GEF per episode."""
     (cell,) = entry.results
     rows = tuple(
@@ -43,7 +51,7 @@ def like(entry: Entry, explainer: str, values: Values, *, policy: str = "small",
     content = {name: getattr(entry, name) for name in Entry.model_fields if name != "entry_id"}
     content |= {
         "explainer": entry.explainer.model_copy(update={"name": explainer}),
-        "policy": entry.policy.model_copy(update={"name": policy}),
+        "policy": entry.policy.model_copy(update={"name": policy, "training_seed": seed}),
         "results": (cell.model_copy(update={"episodes": rows}),),
     }
     return make_entry(**(content | changes))
@@ -93,6 +101,19 @@ def test_several_policies_each_count_once(entry: Entry) -> None:
     assert comparison.pairs[0].improvement == 0.5 * (0.5 + 0.5) + 0.25
     assert [each.profile.shares for each in comparison.standings] == [(1.0, 0.5, 0.0), (1.0, 0.0)]  # of runs
     assert [each.tie_group for each in comparison.standings] == [1, 1]
+
+
+def test_policies_of_one_seed_are_one_unit(entry: Entry) -> None:
+    entries = [
+        like(entry, name, [value] * 4, policy=f"{seed} {kind}", seed=seed)
+        for seed in (1, 2)
+        for kind in ("with", "without")
+        for name, value in (("a", 0.5 * seed), ("b", 0.0))
+    ]
+    difference = compare(blocks_of(entries), "fid_delta").pairs[0].difference
+    assert difference.units == 2
+    expected = stats.ttest_1samp([0.5, 1.0], 0.0).confidence_interval(0.95)
+    assert difference.interval == pytest.approx(tuple(expected))
 
 
 def test_the_result_does_not_depend_on_the_order_of_entries_and_rows(entry: Entry) -> None:

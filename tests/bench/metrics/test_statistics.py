@@ -114,6 +114,36 @@ def test_intervals_have_their_nominal_coverage(n_runs: int, spread: float) -> No
     assert np.mean(found & ~above) <= 0.05
 
 
+def test_a_cluster_counts_as_one_by_hand() -> None:
+    """Deviations -2, 0 and -1, 3 sum to -2 and 2: the error is sqrt(2 (4 + 4)) / 4 = 1."""
+    difference = over_runs([[1.0], [3.0], [2.0], [6.0]], [[0.0]] * 4, clusters="aabb")
+    half = float(stats.t.ppf(0.975, 1))
+    assert difference.units == 2
+    assert difference.value == 3.0
+    assert difference.interval == pytest.approx((3.0 - half, 3.0 + half))
+    assert difference.p == pytest.approx(2 * stats.t.sf(3.0, 1))
+
+
+def test_clusters_of_one_change_nothing_and_a_single_cluster_decides_nothing() -> None:
+    a, b = [[1.0], [3.0], [2.5]], [[0.0], [1.0], [np.nan]]
+    assert over_runs(a, b, clusters="xyz") == over_runs(a, b)
+    assert over_runs(a, b, clusters="xyy").units == 2  # the third has no pair
+    alone = over_runs(a, b, clusters="xxz")
+    assert (alone.value, alone.interval, alone.p, alone.units) == (1.5, None, None, 1)
+
+
+@pytest.mark.slow
+def test_pairs_that_share_a_start_are_covered_as_clusters_only() -> None:
+    """Ten trainings, each with and without a term, whose policies differ less than trainings do."""
+    generator = rng(8)
+    shared = generator.normal(size=(20_000, 10, 1)) + 0.3 * generator.normal(size=(20_000, 10, 2))
+    units, clusters = shared.reshape(-1, 20), np.repeat(np.arange(10), 2).tolist()
+    low, high = student_interval(units, clusters=clusters)
+    assert 0.94 <= np.mean((low <= 0.0) & (high >= 0.0)) <= 0.96
+    low, high = student_interval(units)
+    assert np.mean((low <= 0.0) & (high >= 0.0)) < 0.88
+
+
 def test_a_bootstrap_of_three_runs_does_not_cover() -> None:
     """The reason for Student's intervals."""
     units = runs_of_a_cell(3, 1.0, n_cells=400)

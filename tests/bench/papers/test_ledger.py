@@ -234,7 +234,7 @@ def test_regularised_runs_are_paired_with_unregularised_ones() -> None:
         Run("b", 0.0, 0): scored("another architecture", 9.0, 9.5),
     }
     samples = Samples({(place, ATTENTION): runs})
-    a, b = samples.blocks(CELLS[0], improves(ATTENTION, "fid_delta"))
+    a, b, _ = samples.blocks(CELLS[0], improves(ATTENTION, "fid_delta"))
     assert [x.tolist() for x in a] == [[3.0, 4.0], [5.0, 6.0]]
     assert [x.tolist() for x in b] == [[1.0, 2.0], [1.0, 2.0]]
 
@@ -247,7 +247,7 @@ def test_a_control_is_one_value_per_policy() -> None:
             (place, "oracle"): {run: scored("a0", 4.0)},
         }
     )
-    a, b = samples.blocks(CELLS[0], beats("oracle", ATTENTION, "fid_delta"))
+    a, b, _ = samples.blocks(CELLS[0], beats("oracle", ATTENTION, "fid_delta"))
     assert ([x.tolist() for x in a], [x.tolist() for x in b]) == ([[4.0]], [[1.5]])
 
 
@@ -264,5 +264,19 @@ def test_a_lead_is_a_difference_of_two_terms() -> None:
     )
     leads = [Side(Term(ATTENTION, True, more=m), Term(GNN, True, more=m)) for m in (1, 3)]
     contrast = Contrast("fid_delta", leads[0], leads[1])
-    a, b = samples.blocks(Cell("blind_navigation_v0", 3, more=None), contrast)
+    a, b, _ = samples.blocks(Cell("blind_navigation_v0", 3, more=None), contrast)
     assert (a[0].tolist(), b[0].tolist()) == ([4.0, 5.0], [1.0, 2.0])
+
+
+def test_one_training_in_teams_of_two_sizes_is_one_unit() -> None:
+    cells = tuple(Cell("blind_navigation_v0", 3, more=more) for more in (1, 3))
+    leads = {(0, 1): 0.4, (0, 3): 0.6, (1, 1): 0.2, (1, 3): 0.2}  # (seed, agents more)
+    samples = Samples()
+    for (seed, more), lead in leads.items():
+        place, run = Place("blind_navigation_v0", 3, more, None), Run("a", 0.0, seed)
+        for explainer, value in ((ATTENTION, lead), (GNN, 0.0)):
+            samples.scored.setdefault((place, explainer), {})[run] = scored("p", value)
+    found = Judge(samples).compare(beats(ATTENTION, GNN, "fid_delta"), cells)
+    low, high = student_interval(np.array([0.5, 0.2]))
+    assert found.n_policies == 4
+    assert found.interval == pytest.approx((low, high))

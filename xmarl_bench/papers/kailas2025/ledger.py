@@ -1,6 +1,7 @@
 """Judges statements on samples: held, not held or not decided, with the numbers.
 
-The training run is the unit. A contrast holds by the paired t-test over runs, p under 0.05 after Bonferroni
+The training run is the unit; runs of one training, as checkpoints, larger teams, and with and without the
+term, form a cluster. A contrast holds by the paired t-test over runs, p under 0.05 after Bonferroni
 over the tests of the statement. "The same" and "no worse" hold if Student's interval of the mean difference
 is within the margin. They are refuted by the same test of a difference beyond the margin, also after
 Bonferroni: without it, chance puts one of nine cells beyond the margin in one of five statements. Differences
@@ -15,10 +16,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import chain
 
 import numpy as np
 
-from xmarl_bench.metrics.statistics import bonferroni, over_runs, rank_biserial
+from xmarl_bench.metrics.statistics import Clusters, bonferroni, over_runs, rank_biserial
 from xmarl_bench.papers.kailas2025.claims import (
     ORIENTATION,
     Cell,
@@ -28,7 +30,7 @@ from xmarl_bench.papers.kailas2025.claims import (
     Quantifier,
     Relation,
 )
-from xmarl_bench.papers.kailas2025.samples import Blocks, Samples
+from xmarl_bench.papers.kailas2025.samples import Blocks, Paired, Samples
 
 ALPHA = 0.05
 
@@ -111,24 +113,24 @@ class Judge:
     def compare(self, contrast: Contrast, cells: tuple[Cell, ...]) -> Compared:
         key = contrast, cells
         if key not in self.known:
-            a: Blocks = []
-            b: Blocks = []
-            for cell in cells:
-                more_a, more_b = self.samples.blocks(cell, contrast)
-                a += more_a
-                b += more_b
-            self.known[key] = compare(a, b, ORIENTATION[contrast.metric], contrast.margin)
+            parts = [self.samples.blocks(cell, contrast) for cell in cells]
+            pairs = Paired(*(list(chain(*each)) for each in zip(*parts, strict=True)))
+            self.known[key] = compare(
+                pairs.a, pairs.b, ORIENTATION[contrast.metric], contrast.margin, pairs.trainings
+            )
         return self.known[key]
 
 
-def compare(a: Blocks, b: Blocks, orientation: int, margin: float = 0.0) -> Compared:
+def compare(
+    a: Blocks, b: Blocks, orientation: int, margin: float = 0.0, trainings: Clusters | None = None
+) -> Compared:
     """Compare two lists of (E,) arrays, one pair per policy. orientation: -1 if lower is better."""
     oriented = [orientation * x for x in a], [orientation * x for x in b]
-    difference = over_runs(*oriented)
+    difference = over_runs(*oriented, clusters=trainings)
     beyond = None
     if margin and difference.value is not None:
         nearer = math.copysign(margin, difference.value)
-        beyond = over_runs([x - nearer for x in oriented[0]], oriented[1]).p
+        beyond = over_runs([x - nearer for x in oriented[0]], oriented[1], clusters=trainings).p
         beyond = 1.0 if abs(difference.value) <= margin and beyond is not None else beyond
     effect = rank_biserial(np.concatenate(a), np.concatenate(b)) if a else None
     measured = [

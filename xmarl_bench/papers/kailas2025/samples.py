@@ -8,8 +8,9 @@ episode: scoring starts all policies from the same states.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,14 @@ from xmarl_bench.records.files import canonical_json
 Floats = NDArray[np.float64]
 KEPT = tuple(metric.name for metric in METRICS)
 Blocks = list[Floats]  # one array of episodes (E,) per training run
+
+
+class Paired(NamedTuple):
+    """Both sides of a contrast, run by run."""
+
+    a: Blocks
+    b: Blocks
+    trainings: list[Hashable]  # runs of one training share its start, or all of it: a cluster
 
 
 @dataclass(frozen=True, order=True)
@@ -122,7 +131,7 @@ class Samples:
         chosen = (run for run in every if regularised is None or (run.attention_entropy > 0) == regularised)
         return {run: every[run] for run in sorted(chosen)}
 
-    def blocks(self, cell: Cell, contrast: Contrast) -> tuple[Blocks, Blocks]:
+    def blocks(self, cell: Cell, contrast: Contrast) -> Paired:
         """Values of both sides, run by run: pairs of the same policy, or of partners with and without term.
 
         If a side is a control, of which entries keep only the mean, every policy is one value.
@@ -131,7 +140,7 @@ class Samples:
         regularised = {_regularised(cell, term) for term in terms}
         partners = len(regularised) > 1
         lead = next((term for term in terms if _regularised(cell, term)), terms[0])
-        found: tuple[Blocks, Blocks] = [], []
+        found = Paired([], [], [])
         for run in self.runs(cell, lead, _regularised(cell, lead)):
             values: dict[Term, Floats] = {}
             for term in terms:
@@ -143,8 +152,9 @@ class Samples:
                 continue  # one of them is missing
             if len({each.size for each in values.values()}) > 1:
                 values = {term: np.array([_mean(each)]) for term, each in values.items()}
-            for side, block in zip((contrast.a, contrast.b), found, strict=True):
+            for side, block in ((contrast.a, found.a), (contrast.b, found.b)):
                 block.append(_side(side, values))
+            found.trainings.append((cell.task, cell.n_trained, run.architecture, run.seed))
         return found
 
 

@@ -84,6 +84,11 @@ def _print(comparison: Comparison) -> None:
     print(f"{comparison.metric}, {comparison.better} is better, on {counted(n, 'policy')} and cells:")
     for states in comparison.states:
         print(f"  {states}")
+    units = max(each.mean.units for each in comparison.standings)
+    if units < n:
+        print(
+            f"They are of {counted(units, 'training')}: runs of one seed share its start, and count as one."
+        )
     print_table(
         [
             {

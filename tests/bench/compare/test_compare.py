@@ -103,7 +103,7 @@ def test_several_policies_each_count_once(entry: Entry) -> None:
     assert [each.tie_group for each in comparison.standings] == [1, 1]
 
 
-def test_policies_of_one_seed_are_one_unit(entry: Entry) -> None:
+def test_policies_of_one_seed_are_one_unit(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
     entries = [
         like(entry, name, [value] * 4, policy=f"{seed} {kind}", seed=seed)
         for seed in (1, 2)
@@ -114,6 +114,10 @@ def test_policies_of_one_seed_are_one_unit(entry: Entry) -> None:
     assert difference.units == 2
     expected = stats.ttest_1samp([0.5, 1.0], 0.0).confidence_interval(0.95)
     assert difference.interval == pytest.approx(tuple(expected))
+    for each in entries:
+        write_entry(tmp_path, each)
+    ran = run_cli("compare", tmp_path, "--metric", "fid_delta")
+    assert "They are of 2 trainings: runs of one seed" in ran.out
 
 
 def test_the_result_does_not_depend_on_the_order_of_entries_and_rows(entry: Entry) -> None:

@@ -105,7 +105,7 @@ def test_several_policies_each_count_once(entry: Entry) -> None:
 
 def test_policies_of_one_seed_are_one_unit(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
     entries = [
-        like(entry, name, [value] * 4, policy=f"{seed} {kind}", seed=seed)
+        like(entry, name, [value] * 4, policy=f"{kind}-{seed}", seed=seed)
         for seed in (1, 2)
         for kind in ("with", "without")
         for name, value in (("a", 0.5 * seed), ("b", 0.0))

@@ -12,7 +12,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from xmarl_bench.board.answer import answer_of, answer_on_term, gamed_by
+from xmarl_bench.board.answer import answer_of, answer_on_term, gamed_by, number
 from xmarl_bench.board.regulariser import families_of, regulariser_of
 from xmarl_bench.board.scores import Scores, overall_ranking
 from xmarl_bench.counted import counted
@@ -37,9 +37,13 @@ def answer(board: dict[str, Any]) -> str:
 
 def section(ranking: dict[str, Any]) -> str:
     """The explainers and three controls in order."""
+    about = (
+        f"Means over {counted(ranking['n_cells'], 'cell')}, tasks with a team size, which weigh the same, of "
+        f"{counted(len(ranking['policies']), 'policy')} (`make rescore`); 0 is a random ranking of the "
+        f"messages and 1 the best one:"
+    )
     lines = [
-        f"Means over the {counted(len(ranking['policies']), 'policy')} scored (`make rescore`); 0 is a "
-        "random ranking of the messages and 1 the best one:",
+        *textwrap.wrap(about, 118),
         "",
         "| explainer | message fidelity | FidDelta |",
         "|---|---|---|",
@@ -50,8 +54,11 @@ def section(ranking: dict[str, Any]) -> str:
         name = f"{CONTROLS[row['explainer']]}, a control" if row["control"] else row["explainer"]
         if not row["control"] and row["rank"] is None:
             name += f", not ranked: {row['reason']}"
-        interval = "" if row["interval"] is None else " [{:.2f}, {:.2f}]".format(*row["interval"])
-        lines.append(f"| {name} | {row['value']:.2f}{interval} | {row['means']['fid_delta']:.2f} |")
+        interval = (
+            "" if row["interval"] is None else " [{}, {}]".format(*(number(x, 2) for x in row["interval"]))
+        )
+        value, fid_delta = number(row["value"], 2), number(row["means"]["fid_delta"], 2)
+        lines.append(f"| {name} | {value}{interval} | {fid_delta} |")
     return "\n".join(lines) + "\n"
 
 

@@ -160,9 +160,10 @@ def difference(found: Json) -> str:
 def _policies(row: Json, ranking: Json) -> str:
     if row["n_policies"] == 1:
         return "1 policy, whose episodes are the units"
-    n = ranking["n_trainings"]
+    cells, n = ranking["n_cells"], ranking["n_trainings"]
+    where = "" if cells == 1 else f" in {cells} cells"
     independent = "" if n == row["n_policies"] else f" ({counted(n, 'independent training')})"
-    return f"{row['n_policies']} policies{independent}"
+    return f"{row['n_policies']} policies{where}{independent}"
 
 
 def _verb(rows: Sequence[Json], one: str, several: str) -> str:

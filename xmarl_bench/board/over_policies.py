@@ -1,24 +1,26 @@
 """Rankings over policies, which are then the units.
 
 Explainers are ranked by the mean of the order, which is normalised for each policy (0 a random ranking, 1 the
-best one), unlike the paper's metrics. Policies whose trainings share a start form a cluster. A policy in a
-team of another size than in training is ranked in that cell, but not over all cells, where its training run
-would count twice.
+best one), unlike the paper's metrics. Cells weigh the same, however many policies they have, and policies
+whose trainings share a start form a cluster. A policy in a team of another size than in training is ranked in
+that cell, but not over all cells, where its training run would count twice.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from xmarl_bench.board.columns import MOST, ORDER, PAPER
 from xmarl_bench.board.entry_rows import Group, Json, value_of, values_of
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.explain.control_names import NEAREST, RANDOM
-from xmarl_bench.metrics.statistics import interquartile_mean, over_runs, over_units
+from xmarl_bench.metrics.statistics import Design, interquartile_mean, mean_of, over_runs, over_units
 
+Scored = tuple[Json, Group]  # the scope of a table, and a policy in it
 BEATEN = (RANDOM, NEAREST)  # controls that an explainer has to beat
 TIERS = ("", "unverified", "recomputed", "spot-rerun", "re-executed")  # of verification, worst first
 
@@ -28,7 +30,7 @@ def rankings(listed: Sequence[tuple[Json, Sequence[Group]]]) -> list[Json]:
 
     Those over several cells are over policies in teams of the size that they were trained for.
     """
-    scoped: dict[tuple[str, str, str | None, int | None], list[tuple[Json, Group]]] = {}
+    scoped: dict[tuple[str, str, str | None, int | None], list[Scored]] = {}
     for scope, groups in listed:
         table, cell = (scope["protocol"], scope["oracle"]), (scope["task"], scope["n_agents"])
         for group in groups:
@@ -44,56 +46,59 @@ def rankings(listed: Sequence[tuple[Json, Sequence[Group]]]) -> list[Json]:
     ]
 
 
-def _ranking(pairs: Sequence[tuple[Json, Group]]) -> Json:
+def _ranking(pairs: Sequence[Scored]) -> Json:
     """Explainers by their mean over the policies that they were all scored on."""
     by_name = [{row["explainer"]: row for row in reversed(group.ranked)} for _, group in pairs]
     chosen, names = complete_part({k: sorted(rows) for k, rows in enumerate(by_name)})
-    groups = [pairs[k][1] for k in chosen]
+    compared = [pairs[k] for k in chosen]
+    design = _design(compared)
     rows = {name: [by_name[k][name] for k in chosen] for name in names}
-    means = [float(np.mean(values_of(rows[name]))) for name in names]
+    means = [_mean(values_of(rows[name]), design) for name in names]
     blocks = [
-        np.stack([group.episodes[rows[name][g]["file"]] for name in names]) for g, group in enumerate(groups)
+        np.stack([group.episodes[rows[name][g]["file"]] for name in names])
+        for g, (_, group) in enumerate(compared)
     ]
-    trainings = [group.policy["training"] for group in groups]
-    found = places(means, blocks, MOST, trainings)
+    found = places(means, blocks, MOST, design)
     control_rows = [
         {row["explainer"]: row for row in group.rows if row["control"] and value_of(row) is not None}
-        for group in groups
+        for _, group in compared
     ]
     ranked = [
-        _ranking_row(name, rows[name], False, place)
-        | {
-            "above": {
-                each: _above(rows[name], [c.get(each) for c in control_rows], trainings) for each in BEATEN
-            }
-        }
+        _ranking_row(name, rows[name], compared, False, place)
+        | {"above": {c: _above(rows[name], [of.get(c) for of in control_rows], design) for c in BEATEN}}
         for name, place in zip(names, found, strict=True)
     ]
     partial = sorted({name for each in by_name for name in each} - set(names))
     unranked = [
-        _ranking_row(name, [each[name] for each in by_name if name in each], False)
+        _row_where(name, by_name, pairs, False)
         | {"reason": f"scored on {sum(name in each for each in by_name)} of {len(by_name)} policies"}
         for name in partial
     ]
     _, controls = complete_part({k: list(each) for k, each in enumerate(control_rows)})
-    ranked_controls = [
-        _ranking_row(name, [each[name] for each in control_rows if name in each], True) for name in controls
-    ]
+    ranked_controls = [_row_where(name, control_rows, compared, True) for name in controls]
     return {
         "policies": [
-            {"name": pairs[k][1].policy["name"], "task": pairs[k][0]["task"],
-             "n_agents": pairs[k][0]["n_agents"], "trained_n_agents": pairs[k][1].policy["trained_n_agents"]}
-            for k in chosen
+            {"name": group.policy["name"], "task": scope["task"], "n_agents": scope["n_agents"],
+             "trained_n_agents": group.policy["trained_n_agents"]}
+            for scope, group in compared
         ],
-        "n_trainings": len(set(trainings)),
-        "lead": _lead(found, names, blocks, trainings),
+        "n_cells": len(set(design.cells or ())),
+        "n_trainings": len(set(design.clusters)),
+        "lead": _lead(found, names, blocks, design),
         "rows": sorted(
             ranked + unranked + ranked_controls, key=lambda row: (-row["value"], row["explainer"])
         ),
     }  # fmt: skip
 
 
-def _above(rows: Sequence[Json], controls: Sequence[Json | None], trainings: Sequence[str]) -> Json | None:
+def _design(pairs: Sequence[Scored]) -> Design:
+    return Design(
+        clusters=tuple(group.policy["training"] for _, group in pairs),
+        cells=tuple((scope["task"], scope["n_agents"]) for scope, _ in pairs),
+    )
+
+
+def _above(rows: Sequence[Json], controls: Sequence[Json | None], design: Design) -> Json | None:
     """How far an explainer is above a control: mean over policies of the difference, with its interval.
 
     Of a single policy, whose entry holds no episodes of controls, the interval is that of the difference of
@@ -102,11 +107,11 @@ def _above(rows: Sequence[Json], controls: Sequence[Json | None], trainings: Seq
     known = [each for each in controls if each is not None]
     if not rows or len(known) < len(rows):
         return None
-    difference = np.array(values_of(rows)) - np.array(values_of(known))
-    value = round(float(difference.mean()), DIGITS)
+    difference = np.round(np.array(values_of(rows)) - np.array(values_of(known)), DIGITS)
+    value = round(_mean(difference, design), DIGITS)
     if len(rows) > 1:
-        units = np.round(difference, DIGITS)[:, None]
-        found = over_runs(list(units), list(np.zeros_like(units)), clusters=trainings)
+        units = difference[:, None]
+        found = over_runs(list(units), list(np.zeros_like(units)), design=design)
         return {"difference": value, "interval": None if found.interval is None else list(found.interval)}
     intervals = [each["metrics"][ORDER["by"]]["interval"] for each in (rows[0], known[0])]
     if None in intervals:
@@ -116,7 +121,7 @@ def _above(rows: Sequence[Json], controls: Sequence[Json | None], trainings: Seq
 
 
 def _lead(
-    found: Sequence[Place], names: Sequence[str], blocks: Sequence[Floats], trainings: Sequence[str]
+    found: Sequence[Place], names: Sequence[str], blocks: Sequence[Floats], design: Design
 ) -> Json | None:
     """The first explainer's lead over the best one that differs from it significantly; None without one."""
     order = sorted(range(len(names)), key=lambda r: (found[r].rank, names[r]))
@@ -124,19 +129,29 @@ def _lead(
     if not beaten:
         return None
     first, second = ([block[r] for block in blocks] for r in (order[0], beaten[0]))
-    lead = over_units(first, second, clusters=trainings)
+    lead = over_units(first, second, design=design)
     return {"over": names[beaten[0]], "difference": lead.value, "interval": lead.interval}
 
 
-def _ranking_row(name: str, rows: Sequence[Json], control: bool, place: Place | None = None) -> Json:
-    values = np.round(values_of(rows), DIGITS)
+def _row_where(
+    name: str, by_name: Sequence[Mapping[str, Json]], pairs: Sequence[Scored], control: bool
+) -> Json:
+    """The row of an explainer over the policies that have it."""
+    having = [k for k, each in enumerate(by_name) if name in each]
+    return _ranking_row(name, [by_name[k][name] for k in having], [pairs[k] for k in having], control)
+
+
+def _ranking_row(
+    name: str, rows: Sequence[Json], pairs: Sequence[Scored], control: bool, place: Place | None = None
+) -> Json:
+    values, design = np.round(values_of(rows), DIGITS), _design(pairs)
     return {
         "explainer": name,
         "control": control,
         "rank": None if place is None else place.rank,
         "rank_interval": None if place is None else place.rank_interval,
         "tie_group": None if place is None else place.tie_group,
-        "value": round(float(np.mean(values_of(rows))), DIGITS),
+        "value": round(_mean(values_of(rows), design), DIGITS),
         "iqm": round(interquartile_mean(values), DIGITS),
         "values": values.tolist(),
         "interval": None if place is None else place.interval,
@@ -144,12 +159,16 @@ def _ranking_row(name: str, rows: Sequence[Json], control: bool, place: Place | 
         "cost": None if None in (costs := [row["cost"] for row in rows]) else float(np.mean(costs)),
         "submitters": sorted({row["submitter"] or "" for row in rows}),
         "verification": min((row["verification"] for row in rows), key=TIERS.index),
-        "means": {metric: _mean(rows, metric) for metric in PAPER},
+        "means": {metric: _metric_mean(rows, metric, design) for metric in PAPER},
     }
 
 
-def _mean(rows: Sequence[Json], metric: str) -> float | None:
+def _metric_mean(rows: Sequence[Json], metric: str, design: Design) -> float | None:
     """Mean over rows; None if one has no number."""
     summaries = [row["metrics"].get(metric) for row in rows]
     values = [s["value"] for s in summaries if s is not None and s["value"] is not None]
-    return float(np.mean(values)) if len(values) == len(rows) else None
+    return _mean(values, design) if len(values) == len(rows) else None
+
+
+def _mean(values: ArrayLike, design: Design) -> float:
+    return float(mean_of(np.asarray(values, dtype=np.float64), design))

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from xmarl_bench.metrics.statistics import (
     CONFIDENCE,
-    Clusters,
+    Design,
     groups_by_head,
     holm,
+    mean_of,
     n_independent,
     student_interval,
     student_p,
@@ -45,27 +46,27 @@ def places(
     values: Sequence[float],
     blocks: Sequence[Floats],
     most: float = np.inf,
-    clusters: Clusters | None = None,
+    design: Design | None = None,
 ) -> list[Place]:
     """The places of R competitors.
 
     values: R means, which give the order. They count as equal if DIGITS digits are.
     blocks: for each policy the competitors' episodes (R, E_g), NaN if a value is not a number. An episode
         counts if all competitors have a number.
-    most: the largest possible value, at which intervals end. clusters: of the policies.
+    most: the largest possible value, at which intervals end. design: of the policies.
     """
     if not values:
         return []
     rounded = np.round(np.asarray(values), DIGITS)
     order = np.argsort(-rounded, kind="stable")
     ranks = 1 + (rounded[None, :] > rounded[:, None]).sum(axis=1)
-    units, labels = _units(blocks, clusters)
+    units, design = _units(blocks, design)
     n = len(values)
-    if n_independent(units, labels) < 2:
+    if n_independent(units, design) < 2:
         return [Place(int(rank), None, None, 1) for rank in ranks]
-    low, high = student_interval(units, clusters=labels)
+    low, high = student_interval(units, design=design)
     difference = np.round(units[:, None] - units[None, :], DIGITS)  # (R, R, U)
-    p, better = student_p(difference, clusters=labels), difference.mean(axis=-1) > 0.0
+    p, better = student_p(difference, design=design), mean_of(difference, design) > 0.0
     sure = np.zeros((n, n), dtype=bool)
     for r in range(n):
         others = np.delete(np.arange(n), r)
@@ -85,15 +86,14 @@ def places(
     ]
 
 
-def _units(blocks: Sequence[Floats], clusters: Clusters | None) -> tuple[Floats, Clusters | None]:
-    """(R, U) means of the policies with their clusters, or the episodes of a single policy."""
+def _units(blocks: Sequence[Floats], design: Design | None) -> tuple[Floats, Design | None]:
+    """(R, U) means of the policies with their design, or the episodes of a single policy."""
     complete = [block[:, ~np.isnan(block).any(axis=0)] for block in blocks]
     if len(blocks) == 1:
         return complete[0], None
     kept = [k for k, block in enumerate(complete) if block.shape[1]]
     means = [complete[k].mean(axis=1) for k in kept]
-    labels = None if clusters is None else [clusters[k] for k in kept]
-    return np.stack(means, axis=1) if means else blocks[0][:, :0], labels
+    return np.stack(means, axis=1) if means else blocks[0][:, :0], design and design.of(kept)
 
 
 def complete_part(scored: Mapping[Policy, Sequence[Explainer]]) -> tuple[list[Policy], list[Explainer]]:

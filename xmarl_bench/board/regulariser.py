@@ -14,7 +14,7 @@ import numpy as np
 
 from xmarl_bench.board.columns import ORDER
 from xmarl_bench.board.ranking import DIGITS
-from xmarl_bench.metrics.statistics import student_interval
+from xmarl_bench.metrics.statistics import Design, mean_of, student_interval
 from xmarl_bench.records.files import canonical_json
 
 Json = dict[str, Any]
@@ -59,17 +59,21 @@ def regulariser_of(families: Sequence[Json]) -> dict[str, Json]:
 def compared(families: Sequence[Json], value: Callable[[Json], float | None]) -> Json | None:
     """{without, with, difference, interval, n} of a policy's value over pairs, which are the units.
 
-    One pair gives no interval; None without a pair.
+    Cells weigh the same. One pair gives no interval; None without a pair.
     """
-    pairs = np.array([ends for _, *ends in values_of(families, value)])
-    if not pairs.size:
+    found = values_of(families, value)
+    if not found:
         return None
+    pairs = np.array([ends for _, *ends in found])
+    cells = tuple((family["task"], family["n_agents"]) for family, *_ in found)
+    design = Design(clusters=tuple(range(len(pairs))), cells=cells)
     difference = np.round(pairs[:, 1] - pairs[:, 0], DIGITS)
+    interval = None if len(pairs) < 2 else student_interval(difference, design=design)
     return {
-        "without": float(pairs[:, 0].mean()),
-        "with": float(pairs[:, 1].mean()),
-        "difference": float(difference.mean()),
-        "interval": None if len(pairs) < 2 else [float(x) for x in student_interval(difference)],
+        "without": float(mean_of(pairs[:, 0], design)),
+        "with": float(mean_of(pairs[:, 1], design)),
+        "difference": float(mean_of(difference, design)),
+        "interval": None if interval is None else [float(x) for x in interval],
         "n": len(pairs),
     }
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from xmarl_bench.metrics.statistics import Difference, over_runs
+from xmarl_bench.metrics.statistics import Design, Difference, over_runs
 
 
 def overall_ranking(board: dict[str, Any]) -> dict[str, Any]:
@@ -64,12 +64,19 @@ class Scores:
         found = self.values.get(metric, {}).get(name, {})
         return [found.get(policy["name"], float("nan")) for policy in self.policies]
 
-    def mean(self, metric: str, name: str) -> float:
-        return float(np.nanmean(self.of_policies(metric, name)))
+    @property
+    def design(self) -> Design:
+        """Of the policies, as in the ranking."""
+        return Design(
+            clusters=tuple(policy["training"] for policy in self.policies),
+            cells=tuple((policy["task"], policy["n_agents"]) for policy in self.policies),
+        )
 
-    def difference(self, metric: str, a: str, b: str) -> Difference:
-        """Mean over policies of a less b."""
-        values = zip(self.of_policies(metric, a), self.of_policies(metric, b), strict=True)
-        trainings = [policy["training"] for policy in self.policies]
-        pairs = [([x], [y]) for x, y in values]
-        return over_runs([x for x, _ in pairs], [y for _, y in pairs], clusters=trainings)
+    def mean(self, metric: str, name: str) -> float:
+        return self.difference(metric, name).value or 0.0
+
+    def difference(self, metric: str, a: str, b: str | None = None) -> Difference:
+        """Mean over policies of a less b, or of a alone."""
+        ours = self.of_policies(metric, a)
+        theirs = np.zeros(len(ours)) if b is None else self.of_policies(metric, b)
+        return over_runs([[x] for x in ours], [[y] for y in theirs], design=self.design)

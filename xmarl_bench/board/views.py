@@ -91,6 +91,7 @@ def context_of(
         "scope": scope,
         "answer": answer_of(ranking),
         "n_policies": 0 if ranking is None else len(ranking["policies"]),
+        "n_cells": 0 if ranking is None else ranking["n_cells"],
         "n_trainings": 0 if ranking is None else ranking["n_trainings"],
         "groups": [
             ("", ranked),

@@ -21,6 +21,7 @@ from xmarl_bench.compare.matching import Blocks, named
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.metrics.performance_profile import Profile, performance_profile
 from xmarl_bench.metrics.statistics import (
+    Design,
     Difference,
     groups_by_head,
     holm,
@@ -76,8 +77,8 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
     values = {explainer: _values(blocks, explainer, metric) for explainer in blocks}
     sign = -1.0 if BETTER[metric] is Direction.LOWER else 1.0
     zeros = [np.zeros_like(block) for block in next(iter(values.values()))]
-    trainings = [block.training for block in next(iter(blocks.values())).values()]
-    means = {name: over_units(each, zeros, clusters=trainings) for name, each in values.items()}
+    design = Design(tuple(block.training for block in next(iter(blocks.values())).values()))
+    means = {name: over_units(each, zeros, design=design) for name, each in values.items()}
     without = sorted(name for name, mean in means.items() if mean.value is None)
     if without:
         raise InputError(
@@ -86,7 +87,7 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
         )
     order = sorted(values, key=lambda name: (-sign * (means[name].value or 0.0), name))
     pairs = list(combinations(order, 2))
-    differences = {(a, b): over_units(values[a], values[b], clusters=trainings) for a, b in pairs}
+    differences = {(a, b): over_units(values[a], values[b], design=design) for a, b in pairs}
     groups = groups_by_head(len(order), lambda head, k: differences[order[head], order[k]].holds_zero)
     p = [each.p for each in differences.values() if each.p is not None]
     corrected = iter(holm(p).tolist())

@@ -5,17 +5,19 @@ statement about a cell or an architecture has training runs as units: many episo
 one policy. Intervals are Student's over units: with three runs, a 95 % percentile bootstrap covers only 72 to
 86 %, and pooled episodes of different runs are not a sample of one population. Runs that share the start of
 their training, as with and without a regulariser, are no independent runs: they form a cluster, and intervals
-allow for it. Values that are not a number are skipped and counted, never filled in.
+allow for it. A mean over several cells is the mean of their means: further runs of a cell make it surer, not
+heavier (`Design`). Values that are not a number are skipped and counted, never filled in.
 
-Sources: Student (1908); Welch (1947), independent samples; Liang and Zeger (1986), clusters; Efron and
-Tibshirani, "An Introduction to the Bootstrap" (1993), percentile interval of an entry's means; Holm (1979);
-Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the Statistical Precipice", interquartile
-mean and probability of improvement; Kerby (2014), rank-biserial correlation.
+Sources: Student (1908); Welch (1947), independent samples; Liang and Zeger (1986), clusters; Kish (1965),
+effective number; Efron and Tibshirani, "An Introduction to the Bootstrap" (1993), percentile interval of an
+entry's means; Holm (1979); Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the Statistical
+Precipice", interquartile mean and probability of improvement; Kerby (2014), rank-biserial correlation.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -25,10 +27,40 @@ from numpy.typing import ArrayLike, NDArray
 from xmarl_bench.errors import InputError
 
 Floats = NDArray[np.float64]
-Clusters = Sequence[Hashable]  # a label for each unit; units of one label are not independent
 RESAMPLES = 5000
 CONFIDENCE = 0.95
 CHUNK = 1_000_000  # numbers drawn at once: bounds memory; every array of 200 episodes or fewer is one chunk
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which units belong together: U labels each.
+
+    clusters: units of one cluster are not independent. cells: the mean is over cells of the mean of a cell's
+    units; without them all units weigh the same.
+    """
+
+    clusters: tuple[Hashable, ...]
+    cells: tuple[Hashable, ...] | None = None
+
+    def of(self, kept: Sequence[int]) -> Design:
+        """The design of some of the units."""
+        clusters, cells = ([each[k] for k in kept] for each in (self.clusters, self.cells or self.clusters))
+        return Design(tuple(clusters), None if self.cells is None else tuple(cells))
+
+    @property
+    def weights(self) -> Floats:
+        """(U,): of each unit in the mean; their sum is 1."""
+        if self.cells is None:
+            return np.full(len(self.clusters), 1.0 / len(self.clusters))
+        size = Counter(self.cells)
+        return np.array([1.0 / (size[cell] * len(size)) for cell in self.cells])
+
+    @property
+    def members(self) -> Floats:
+        """(U, G): 1 where a unit is of a cluster."""
+        labels = dict.fromkeys(self.clusters)
+        return np.array([[float(each == label) for label in labels] for each in self.clusters])
 
 
 @dataclass(frozen=True)
@@ -59,30 +91,30 @@ def over_runs(
     a: Sequence[ArrayLike],
     b: Sequence[ArrayLike],
     *,
-    clusters: Clusters | None = None,
+    design: Design | None = None,
     confidence: float = CONFIDENCE,
 ) -> Difference:
     """Mean over runs of the mean of a - b over their episodes: one array (E_g,) per run; the run is the unit.
 
-    clusters: of the runs. Skips runs without a complete pair. Raises InputError if the arrays are not pairs.
+    design: of the runs. Skips runs without a complete pair. Raises InputError if the arrays are not pairs.
     """
     pairs, n_nan = _pairs(a, b)
     kept = [k for k, run in enumerate(pairs) if run.size]
     means = np.array([pairs[k].mean() for k in kept])
-    labels = None if clusters is None else [clusters[k] for k in kept]
-    return _difference(means, sum(run.size for run in pairs), n_nan, confidence, labels)
+    design = None if design is None else design.of(kept)
+    return _difference(means, sum(run.size for run in pairs), n_nan, confidence, design)
 
 
 def over_units(
     a: Sequence[ArrayLike],
     b: Sequence[ArrayLike],
     *,
-    clusters: Clusters | None = None,
+    design: Design | None = None,
     confidence: float = CONFIDENCE,
 ) -> Difference:
     """As `over_runs`; a single run gives a statement about this run alone, with its episodes as units."""
     if len(a) != 1:
-        return over_runs(a, b, clusters=clusters, confidence=confidence)
+        return over_runs(a, b, design=design, confidence=confidence)
     (episodes,), n_nan = _pairs(a, b)
     return _difference(episodes, episodes.size, n_nan, confidence)
 
@@ -112,35 +144,39 @@ def over_samples(a: ArrayLike, b: ArrayLike, *, confidence: float = CONFIDENCE) 
 
 
 def student_interval(
-    units: Floats, confidence: float = CONFIDENCE, *, clusters: Clusters | None = None
+    units: Floats, confidence: float = CONFIDENCE, *, design: Design | None = None
 ) -> tuple[Floats, Floats]:
     """(..., U) -> low and high (...) of the mean over the last axis, for two independent units or more."""
     from scipy.special import stdtrit  # imported lazily: reading entries does not need scipy
 
-    mean = units.sum(axis=-1) / units.shape[-1]
-    half = stdtrit(n_independent(units, clusters) - 1, 0.5 + confidence / 2) * _standard_error(
-        units, clusters
-    )
+    mean, error, freedom = _student(units, design)
+    half = stdtrit(freedom, 0.5 + confidence / 2) * error
     return mean - half, mean + half
 
 
-def student_p(units: Floats, *, clusters: Clusters | None = None) -> Floats:
+def student_p(units: Floats, *, design: Design | None = None) -> Floats:
     """(..., U) -> (...): two-sided p of a mean of 0 over the last axis, for two independent units or more.
 
     If all units are equal, p is 1 if they are 0, and 0 otherwise.
     """
     from scipy.special import stdtr
 
-    mean = np.abs(units.sum(axis=-1) / units.shape[-1])
-    error = _standard_error(units, clusters)
+    mean, error, freedom = _student(units, design)
+    size = np.abs(mean)
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.where(error > 0.0, mean / error, np.where(mean > 0.0, np.inf, 0.0))
-    return np.asarray(2.0 * stdtr(n_independent(units, clusters) - 1, -t))
+        t = np.where(error > 0.0, size / error, np.where(size > 0.0, np.inf, 0.0))
+    return np.asarray(2.0 * stdtr(freedom, -t))
 
 
-def n_independent(units: Floats, clusters: Clusters | None) -> int:
-    """The number of units (..., U) that are independent: clusters, if there are any."""
-    return units.shape[-1] if clusters is None else len(set(clusters))
+def mean_of(units: Floats, design: Design | None) -> Floats:
+    """(..., U) -> (...): the mean over the last axis."""
+    n = units.shape[-1]
+    return np.asarray(units.sum(axis=-1) / n if design is None else (units * design.weights).sum(axis=-1))
+
+
+def n_independent(units: Floats, design: Design | None) -> int:
+    """The number of units (..., U) that are independent."""
+    return units.shape[-1] if design is None else len(set(design.clusters))
 
 
 def percentile_interval(
@@ -224,27 +260,37 @@ def groups_by_head(n: int, tied: Callable[[int, int], bool]) -> list[int]:
 
 
 def _difference(
-    units: Floats, n: int, n_nan: int, confidence: float, clusters: Clusters | None = None
+    units: Floats, n: int, n_nan: int, confidence: float, design: Design | None = None
 ) -> Difference:
     if not units.size:
         return Difference(None, None, None, 0, n, n_nan)
-    value, independent = float(units.mean()), n_independent(units, clusters)
+    value, independent = float(mean_of(units, design)), n_independent(units, design)
     if independent < 2:
         return Difference(value, None, None, independent, n, n_nan)
-    low, high = student_interval(units, confidence, clusters=clusters)
-    p = float(student_p(units, clusters=clusters))
+    low, high = student_interval(units, confidence, design=design)
+    p = float(student_p(units, design=design))
     return Difference(value, (float(low), float(high)), p, independent, n, n_nan)
 
 
-def _standard_error(units: Floats, clusters: Clusters | None = None) -> Floats:
-    """Of the mean over the last axis; robust to what units of one cluster have in common."""
-    n = units.shape[-1]
-    if clusters is None or len(set(clusters)) == n:
-        return np.asarray(units.std(axis=-1, ddof=1) / math.sqrt(n))
-    labels = list(dict.fromkeys(clusters))
-    members = np.array([[each == label for label in labels] for each in clusters], dtype=np.float64)
-    sums = (units - units.mean(axis=-1, keepdims=True)) @ members
-    return np.asarray(np.sqrt(np.square(sums).sum(axis=-1) * len(labels) / (len(labels) - 1)) / n)
+def _standard_error(units: Floats) -> Floats:
+    return np.asarray(units.std(axis=-1, ddof=1) / math.sqrt(units.shape[-1]))
+
+
+def _student(units: Floats, design: Design | None) -> tuple[Floats, Floats, float]:
+    """(..., U) -> mean and its standard error (...), and the degrees of freedom.
+
+    With a design the error is that of the sums of clusters, whatever their units have in common, and the
+    number of clusters is Kish's effective one, which is smaller if some weigh more. If every cluster is one
+    unit and all weigh the same, the result is that without a design.
+    """
+    mean = mean_of(units, design)
+    if design is None:
+        return mean, _standard_error(units), units.shape[-1] - 1.0
+    weights, members = design.weights, design.members
+    sums = ((units - mean[..., None]) * weights) @ members
+    effective = 1.0 / float(np.square(weights @ members).sum())
+    error = np.sqrt(np.square(sums).sum(axis=-1) * effective / (effective - 1.0))
+    return mean, np.asarray(error), effective - 1.0
 
 
 def _pairs(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> tuple[list[Floats], int]:

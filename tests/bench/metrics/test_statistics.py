@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +13,7 @@ from scipy import stats
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.statistics import (
+    Design,
     Difference,
     bonferroni,
     groups_by_head,
@@ -116,7 +119,7 @@ def test_intervals_have_their_nominal_coverage(n_runs: int, spread: float) -> No
 
 def test_a_cluster_counts_as_one_by_hand() -> None:
     """Deviations -2, 0 and -1, 3 sum to -2 and 2: the error is sqrt(2 (4 + 4)) / 4 = 1."""
-    difference = over_runs([[1.0], [3.0], [2.0], [6.0]], [[0.0]] * 4, clusters="aabb")
+    difference = over_runs([[1.0], [3.0], [2.0], [6.0]], [[0.0]] * 4, design=Design(tuple("aabb")))
     half = float(stats.t.ppf(0.975, 1))
     assert difference.units == 2
     assert difference.value == 3.0
@@ -126,10 +129,35 @@ def test_a_cluster_counts_as_one_by_hand() -> None:
 
 def test_clusters_of_one_change_nothing_and_a_single_cluster_decides_nothing() -> None:
     a, b = [[1.0], [3.0], [2.5]], [[0.0], [1.0], [np.nan]]
-    assert over_runs(a, b, clusters="xyz") == over_runs(a, b)
-    assert over_runs(a, b, clusters="xyy").units == 2  # the third has no pair
-    alone = over_runs(a, b, clusters="xxz")
+    assert over_runs(a, b, design=Design(tuple("xyz"))) == over_runs(a, b)
+    assert over_runs(a, b, design=Design(tuple("xyy"))).units == 2  # the third has no pair
+    alone = over_runs(a, b, design=Design(tuple("xxz")))
     assert (alone.value, alone.interval, alone.p, alone.units) == (1.5, None, None, 1)
+
+
+def test_cells_weigh_the_same_by_hand() -> None:
+    """Weights 1/4, 1/4 and 1/2 give a mean of 4 and an effective number of 1 / (1/16 + 1/16 + 1/4) = 8/3.
+
+    Weighted deviations are -0.75, -0.25 and 1: the error is sqrt(1.625 x 8/5), with 5/3 degrees of freedom.
+    """
+    design = Design(clusters=(1, 2, 3), cells=("a", "a", "b"))
+    difference = over_runs([[1.0], [3.0], [6.0]], [[0.0]] * 3, design=design)
+    half = float(stats.t.ppf(0.975, 5 / 3)) * float(np.sqrt(2.6))
+    assert difference.value == pytest.approx(4.0)
+    assert difference.interval == pytest.approx((4.0 - half, 4.0 + half))
+    assert difference.p == pytest.approx(2 * stats.t.sf(4.0 / np.sqrt(2.6), 5 / 3))
+    lost = over_runs([[1.0], [3.0], [np.nan]], [[0.0]] * 3, design=design)
+    kept = over_runs([[1.0], [3.0]], [[0.0]] * 2, design=Design((1, 2), ("a", "a")))
+    assert lost == replace(kept, n_nan=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("runs", [(1, 1, 1, 1, 1, 1, 1, 1, 6), (2, 1, 2, 1, 2, 3, 1, 2, 1), (1, 5)])
+def test_a_mean_of_cells_is_covered_whatever_their_numbers_of_runs(runs: tuple[int, ...]) -> None:
+    cells = tuple(cell for cell, n in enumerate(runs) for _ in range(n))
+    units = rng(9).normal(size=(20_000, len(cells)))
+    low, high = student_interval(units, design=Design(tuple(range(len(cells))), cells))
+    assert np.mean((low <= 0.0) & (high >= 0.0)) >= 0.93
 
 
 @pytest.mark.slow
@@ -137,8 +165,8 @@ def test_pairs_that_share_a_start_are_covered_as_clusters_only() -> None:
     """Ten trainings, each with and without a term, whose policies differ less than trainings do."""
     generator = rng(8)
     shared = generator.normal(size=(20_000, 10, 1)) + 0.3 * generator.normal(size=(20_000, 10, 2))
-    units, clusters = shared.reshape(-1, 20), np.repeat(np.arange(10), 2).tolist()
-    low, high = student_interval(units, clusters=clusters)
+    units, design = shared.reshape(-1, 20), Design(tuple(np.repeat(np.arange(10), 2).tolist()))
+    low, high = student_interval(units, design=design)
     assert 0.94 <= np.mean((low <= 0.0) & (high >= 0.0)) <= 0.96
     low, high = student_interval(units)
     assert np.mean((low <= 0.0) & (high >= 0.0)) < 0.88

@@ -20,7 +20,7 @@ from itertools import chain
 
 import numpy as np
 
-from xmarl_bench.metrics.statistics import Clusters, bonferroni, over_runs, rank_biserial
+from xmarl_bench.metrics.statistics import Design, bonferroni, over_runs, rank_biserial
 from xmarl_bench.papers.kailas2025.claims import (
     ORIENTATION,
     Cell,
@@ -116,21 +116,25 @@ class Judge:
             parts = [self.samples.blocks(cell, contrast) for cell in cells]
             pairs = Paired(*(list(chain(*each)) for each in zip(*parts, strict=True)))
             self.known[key] = compare(
-                pairs.a, pairs.b, ORIENTATION[contrast.metric], contrast.margin, pairs.trainings
+                pairs.a,
+                pairs.b,
+                ORIENTATION[contrast.metric],
+                contrast.margin,
+                pairs.design,
             )
         return self.known[key]
 
 
 def compare(
-    a: Blocks, b: Blocks, orientation: int, margin: float = 0.0, trainings: Clusters | None = None
+    a: Blocks, b: Blocks, orientation: int, margin: float = 0.0, design: Design | None = None
 ) -> Compared:
     """Compare two lists of (E,) arrays, one pair per policy. orientation: -1 if lower is better."""
     oriented = [orientation * x for x in a], [orientation * x for x in b]
-    difference = over_runs(*oriented, clusters=trainings)
+    difference = over_runs(*oriented, design=design)
     beyond = None
     if margin and difference.value is not None:
         nearer = math.copysign(margin, difference.value)
-        beyond = over_runs([x - nearer for x in oriented[0]], oriented[1], clusters=trainings).p
+        beyond = over_runs([x - nearer for x in oriented[0]], oriented[1], design=design).p
         beyond = 1.0 if abs(difference.value) <= margin and beyond is not None else beyond
     effect = rank_biserial(np.concatenate(a), np.concatenate(b)) if a else None
     measured = [

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.control_names import INVERTED
+from xmarl_bench.metrics.statistics import Design
 from xmarl_bench.metrics.table import METRICS
 from xmarl_bench.papers.kailas2025.claims import Cell, Contrast, Side, Term
 from xmarl_bench.policy import PolicyCard
@@ -33,7 +34,11 @@ class Paired(NamedTuple):
 
     a: Blocks
     b: Blocks
-    trainings: list[Hashable]  # runs of one training share its start, or all of it: a cluster
+    trainings: list[Hashable]  # runs of one training share its start, or all of it
+
+    @property
+    def design(self) -> Design:
+        return Design(clusters=tuple(self.trainings))
 
 
 @dataclass(frozen=True, order=True)

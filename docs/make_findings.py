@@ -58,10 +58,11 @@ def task_metric(policy: dict[str, Any], metric: str) -> float | None:
     return None if summary is None else summary["value"]
 
 
-def dots(axis: Axes, values: Sequence[float], y: int, colour: str) -> None:
+def dots(axis: Axes, scores: Scores, name: str, y: int, colour: str) -> None:
     """A line of the picture: a dot for each policy, and a bar at the mean."""
+    values = scores.of_policies(ORDER, name)
     axis.plot(values, [y] * len(values), "o", color=colour, alpha=0.35, markersize=4, markeredgewidth=0)
-    axis.plot(np.nanmean(values), y, "|", color=colour, markersize=13, markeredgewidth=2.5)
+    axis.plot(scores.mean(ORDER, name), y, "|", color=colour, markersize=13, markeredgewidth=2.5)
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ def who_leads(scores: Scores) -> Finding:
     def draw(axis: Axes) -> None:
         names = [*CONTROLS, *reversed(scores.explainers)]
         for y, name in enumerate(names):
-            dots(axis, scores.of_policies(ORDER, name), y, GREY if name in CONTROLS else BLUE)
+            dots(axis, scores, name, y, GREY if name in CONTROLS else BLUE)
         axis.set_yticks(range(len(names)), names, fontsize=8)
         axis.axvline(0, color="black", linewidth=0.6)
         axis.set_xlabel("message fidelity: a dot for each policy, a bar for their mean; controls are grey")
@@ -124,11 +125,8 @@ def absence_decides(scores: Scores) -> Finding:
         f"{name} under `{MODEL_OF[metric]}` ({scores.mean(metric, name):.2f})"
         for metric, name in first.items()
     )
-    three = np.array([policy["n_agents"] == 3 for policy in scores.policies])
-    zero, mean = (
-        float(np.mean(np.array(scores.of_policies(metric, "occlusion"))[three]))
-        for metric in UNDER_ABSENCES[:2]
-    )
+    three = scores.only(lambda policy: policy["n_agents"] == 3)
+    zero, mean = (three.mean(metric, "occlusion") for metric in UNDER_ABSENCES[:2])
     text = (
         f"Something has to stand in for a message that is removed. First is {said}. With three agents the "
         f"score under `zero` is occlusion's own definition: it has {zero:.2f} there by construction, and "
@@ -194,7 +192,7 @@ def defaults_fail(scores: Scores) -> Finding:
     def draw(axis: Axes) -> None:
         names = ["random", "graphmask-messages", "graphmask", "gnn_explainer-tuned", "gnn_explainer"]
         for y, name in enumerate(names):
-            dots(axis, scores.of_policies(ORDER, name), y, GREY if name == "random" else BLUE)
+            dots(axis, scores, name, y, GREY if name == "random" else BLUE)
         axis.set_yticks(range(len(names)), names, fontsize=8)
         axis.axvline(0, color="black", linewidth=0.6)
         axis.set_xlabel("message fidelity: a dot for each policy, a bar for their mean")
@@ -239,13 +237,10 @@ FINDINGS = who_leads, fid_delta_misleads, absence_decides, attention_is_learnt, 
 def by_family(scores: Scores) -> str:
     """Whether both families order the explainers alike."""
     kinds = [kind_of(policy["architecture"]) for policy in scores.policies]
-    means = {
-        family: {
-            name: float(np.nanmean(np.array(scores.of_policies(ORDER, name))[np.array(kinds) == family]))
-            for name in scores.explainers
-        }
-        for family in sorted(set(kinds))
-    }
+    means = {}
+    for family in sorted(set(kinds)):
+        its = scores.only(lambda policy, family=family: kind_of(policy["architecture"]) == family)  # type: ignore[misc]
+        means[family] = {name: its.mean(ORDER, name) for name in scores.explainers}
     said = "; ".join(
         f"in `{family}`, {counted(kinds.count(family), 'policy')}, `{max(of, key=of.__getitem__)}` is first "
         f"({max(of.values()):.2f}) and `attention` has {of['attention']:.2f}"
@@ -265,9 +260,9 @@ def undecided(scores: Scores) -> list[str]:
     )
     most = max(kinds.values())
     lines = [
-        f"- **Runs.** {len(scores.policies)} policies in {len(kinds)} of {N_KINDS} cells, with and without "
-        f"the term, at most {most} training run{'s' * (most > 1)} each. How far runs of "
-        f"one cell spread is " + ("not known." if most == 1 else "known for some cells only."),
+        f"- **Runs.** {len(scores.policies)} policies. Of {N_KINDS} kinds (a cell, with or without the term) "
+        f"{len(kinds)} have a policy, and none has more than {most}. How far runs of one cell spread is "
+        + ("not known." if most == 1 else "known for some cells only."),
         "- **One dose.** On the board each task has one weight of the entropy term. "
         "[dose.md](dose.md) has several, of one cell.",
     ]

@@ -62,7 +62,8 @@ def test_families_are_compared_if_there_are_two(script: dict[str, Any]) -> None:
     others = [{**each, "architecture": architecture} for each in of_one.policies[1:]]
     said = script["by_family"](replace(of_one, policies=[of_one.policies[0], *others]))
     assert said.startswith("In `paper`, 1 policy, `attention` is first (0.92)")
-    assert "in `residual`, 3 policies, `attention` is first (0.91)" in said
+    # Mean over cells: of 0.91 in passage, and of 0.92 and 0.93 in discovery.
+    assert "in `residual`, 3 policies, `attention` is first (0.92)" in said
     assert said.endswith("Spearman's correlation of both orders is 1.00.")
 
 

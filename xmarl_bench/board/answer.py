@@ -39,6 +39,9 @@ def answer_of(ranking: Json | None) -> list[str]:
     said = [
         f"{names} {_verb(best, 'leads', 'lead')} with a {METRIC.title} of {_value(best[0])}, over {over}."
     ]
+    if best[0]["interval"] is None:
+        unit = "episode" if best[0]["n_policies"] == 1 else "training"
+        return [*said, f"Nothing is tested: one {unit} gives no interval."]
     if len(ranked) > len(best):
         said.append(_lead(ranking["lead"], [row for row in ranked[len(best) :] if row["tie_group"] == 1]))
     if not any(beats(row, RANDOM) for row in ranked):

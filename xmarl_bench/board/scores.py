@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,10 @@ class Scores:
                             of_metric.setdefault(row["explainer"], {})[policy["name"]] = summary["value"]
         return cls(ranking, tables, policies, values)
 
+    def only(self, keep: Callable[[dict[str, Any]], bool]) -> Scores:
+        """The scores on some of the policies."""
+        return replace(self, policies=[policy for policy in self.policies if keep(policy)])
+
     @property
     def explainers(self) -> list[str]:
         """Ranked, best first."""
@@ -76,7 +81,7 @@ class Scores:
         return self.difference(metric, name).value or 0.0
 
     def difference(self, metric: str, a: str, b: str | None = None) -> Difference:
-        """Mean over policies of a less b, or of a alone."""
+        """Mean over cells of the mean over their policies of a less b, or of a alone."""
         ours = self.of_policies(metric, a)
         theirs = np.zeros(len(ours)) if b is None else self.of_policies(metric, b)
         return over_runs([[x] for x in ours], [[y] for y in theirs], design=self.design)

@@ -84,10 +84,10 @@ def _print(comparison: Comparison) -> None:
     print(f"{comparison.metric}, {comparison.better} is better, on {counted(n, 'policy')} and cells:")
     for states in comparison.states:
         print(f"  {states}")
-    units = max(each.mean.units for each in comparison.standings)
-    if units < n:
+    if comparison.trainings < n:
         print(
-            f"They are of {counted(units, 'training')}: runs of one seed share its start, and count as one."
+            f"They are of {counted(comparison.trainings, 'training')}: policies of one seed share its start, "
+            f"and count as one, as a policy in several teams does."
         )
     print_table(
         [

@@ -1,10 +1,10 @@
 """Compares explainers on the same policies and states: differences, intervals, tests and tie groups.
 
-Differences are paired. With several policies each one is a unit, with a single policy each episode. Policies
-whose trainings share a start are a cluster. Intervals are Student's; the p-values of the paired t-test are
-corrected by Holm for all pairs of the table (xmarl_bench.metrics.statistics). Interquartile mean,
-performance profile and probability of improvement are those of Agarwal et al. (2021): the policies of a cell
-are its runs.
+Differences are paired. With several policies the units are their trainings, and cells weigh the same; with a
+single policy its episodes. Intervals are Student's; the p-values of the paired t-test are corrected by Holm
+for all pairs of the table (xmarl_bench.metrics.statistics). Interquartile mean, performance profile and
+probability of improvement are those of Agarwal et al. (2021): the policies of a cell are its runs, all of the
+same weight.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Standing:
     """One explainer in the order of a metric, best first."""
 
     explainer: str
-    mean: Difference  # to 0: the mean over policies of the mean over episodes
+    mean: Difference  # to 0: mean over cells of the mean over policies of the mean over episodes
     iqm: float  # interquartile mean of the policies' means, or of the episodes of a single policy
     profile: Profile  # share of the same values above every score
     tie_group: int  # from 1; members do not differ significantly from the first of the group
@@ -66,6 +66,7 @@ class Comparison:
     metric: str
     better: str  # "higher" or "lower"
     states: tuple[str, ...]  # policy and cell of each block
+    trainings: int  # that are independent
     standings: tuple[Standing, ...]
     pairs: tuple[Pair, ...]  # every pair, by the order
 
@@ -77,7 +78,11 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
     values = {explainer: _values(blocks, explainer, metric) for explainer in blocks}
     sign = -1.0 if BETTER[metric] is Direction.LOWER else 1.0
     zeros = [np.zeros_like(block) for block in next(iter(values.values()))]
-    design = Design(tuple(block.training for block in next(iter(blocks.values())).values()))
+    states = next(iter(blocks.values()))
+    design = Design(
+        clusters=tuple(block.training for block in states.values()),
+        cells=tuple((block.cell.task, block.cell.n_agents) for block in states.values()),
+    )
     means = {name: over_units(each, zeros, design=design) for name, each in values.items()}
     without = sorted(name for name, mean in means.items() if mean.value is None)
     if without:
@@ -95,7 +100,8 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
     return Comparison(
         metric=metric,
         better=BETTER[metric].value,
-        states=tuple(next(iter(blocks.values()))),
+        states=tuple(states),
+        trainings=len(set(design.clusters)),
         standings=tuple(
             Standing(name, means[name], interquartile_mean(scores), performance_profile(scores), group + 1)
             for name, group in zip(order, groups, strict=True)

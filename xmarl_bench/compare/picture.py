@@ -66,8 +66,8 @@ def figure_of(comparisons: Sequence[Comparison]) -> Figure:
         _means(left, each)
         _differences(middle, each)
         _profiles(right, each)
-    n_states = len(comparisons[0].states)
-    over = counted(n_states, "policy") if n_states > 1 else "the episodes of one policy"
+    several = len(comparisons[0].states) > 1
+    over = counted(comparisons[0].trainings, "training") if several else "the episodes of one policy"
     figure.supxlabel(f"95 % intervals over {over}", fontsize=9)
     return figure
 

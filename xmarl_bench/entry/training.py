@@ -13,7 +13,10 @@ from xmarl_bench.records.files import canonical_json
 
 
 def training_of(policy: PolicyRecord) -> str:
-    """The same for policies of one task, team size, architecture and training seed; else its own."""
+    """The same for policies of one task, team size, architecture and training seed.
+
+    Without a seed, each policy is its own training.
+    """
     own = [policy.task, policy.n_agents, policy.architecture.model_dump(mode="json"), policy.training_seed]
     if policy.training_seed is None:
         own += [policy.name, policy.weights_sha256]

@@ -4,8 +4,8 @@ The run-score distribution of Agarwal et al. (2021), "Deep Reinforcement Learnin
 Statistical Precipice": a competitor whose curve is above another everywhere is better. Their band is a
 stratified bootstrap, which has no width if a cell has a single run, or if all runs are on one side of tau.
 Ours is the exact binomial interval of Clopper and Pearson (1934) at each tau: it has at least its nominal
-coverage for any number of runs, and more for runs of several cells with different probabilities (Hoeffding
-1956).
+coverage for any number of independent runs, and more for runs of several cells with different probabilities
+(Hoeffding 1956). Runs that share the start of their training are not independent: of these it is too narrow.
 """
 
 from __future__ import annotations

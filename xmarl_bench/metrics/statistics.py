@@ -4,9 +4,11 @@ A statement about one policy has episodes as units, because the timesteps of an 
 statement about a cell or an architecture has training runs as units: many episodes of one policy are still
 one policy. Intervals are Student's over units: with three runs, a 95 % percentile bootstrap covers only 72 to
 86 %, and pooled episodes of different runs are not a sample of one population. Runs that share the start of
-their training, as with and without a regulariser, are no independent runs: they form a cluster, and intervals
-allow for it. A mean over several cells is the mean of their means: further runs of a cell make it surer, not
-heavier (`Design`). Values that are not a number are skipped and counted, never filled in.
+their training, as with and without a regulariser, are not independent: they form a cluster, which counts as
+one training (`Design`). A mean over several cells is the mean of their means: further trainings in a cell
+narrow its interval and do not change the cell's weight. Deviations are from the mean over all cells, so the
+interval of such a mean is wide for these cells, and says nothing of other tasks. Values that are not a number
+are skipped and counted, never filled in.
 
 Sources: Student (1908); Welch (1947), independent samples; Liang and Zeger (1986), clusters; Kish (1965),
 effective number; Efron and Tibshirani, "An Introduction to the Bootstrap" (1993), percentile interval of an
@@ -36,25 +38,35 @@ CHUNK = 1_000_000  # numbers drawn at once: bounds memory; every array of 200 ep
 class Design:
     """Which units belong together: U labels each.
 
-    clusters: units of one cluster are not independent. cells: the mean is over cells of the mean of a cell's
-    units; without them all units weigh the same.
+    clusters: units of one cluster are not independent, and weigh together as much as another cluster. cells:
+    the mean is over cells of the mean over a cell's clusters; without them, over all clusters.
     """
 
     clusters: tuple[Hashable, ...]
-    cells: tuple[Hashable, ...] | None = None
+    cells: tuple[Hashable, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.cells and len(self.cells) != len(self.clusters):
+            raise InputError(
+                f"got {len(self.cells)} cells for {len(self.clusters)} units: give a label for each."
+            )
 
     def of(self, kept: Sequence[int]) -> Design:
         """The design of some of the units."""
-        clusters, cells = ([each[k] for k in kept] for each in (self.clusters, self.cells or self.clusters))
-        return Design(tuple(clusters), None if self.cells is None else tuple(cells))
+        return Design(tuple(self.clusters[k] for k in kept), tuple(self.cells[k] for k in kept if self.cells))
 
     @property
     def weights(self) -> Floats:
         """(U,): of each unit in the mean; their sum is 1."""
-        if self.cells is None:
-            return np.full(len(self.clusters), 1.0 / len(self.clusters))
-        size = Counter(self.cells)
-        return np.array([1.0 / (size[cell] * len(size)) for cell in self.cells])
+        cells = self.cells or (None,) * len(self.clusters)
+        units = Counter(zip(cells, self.clusters, strict=True))
+        clusters = Counter(cell for cell, _ in units)
+        return np.array(
+            [
+                1.0 / (len(clusters) * clusters[cell] * units[cell, cluster])
+                for cell, cluster in zip(cells, self.clusters, strict=True)
+            ]
+        )
 
     @property
     def members(self) -> Floats:
@@ -99,6 +111,10 @@ def over_runs(
     design: of the runs. Skips runs without a complete pair. Raises InputError if the arrays are not pairs.
     """
     pairs, n_nan = _pairs(a, b)
+    if design is not None and len(design.clusters) != len(pairs):
+        raise InputError(
+            f"got a design of {len(design.clusters)} for {len(pairs)} runs: give that of the runs."
+        )
     kept = [k for k, run in enumerate(pairs) if run.size]
     means = np.array([pairs[k].mean() for k in kept])
     design = None if design is None else design.of(kept)
@@ -279,18 +295,20 @@ def _standard_error(units: Floats) -> Floats:
 def _student(units: Floats, design: Design | None) -> tuple[Floats, Floats, float]:
     """(..., U) -> mean and its standard error (...), and the degrees of freedom.
 
-    With a design the error is that of the sums of clusters, whatever their units have in common, and the
-    number of clusters is Kish's effective one, which is smaller if some weigh more. If every cluster is one
-    unit and all weigh the same, the result is that without a design.
+    With a design the error is that of the sums of clusters, whatever their units have in common, unbiased if
+    clusters are independent and vary alike. The degrees of freedom are one less than Kish's effective number
+    of clusters, which is smaller if some weigh more. Without weights and clusters both are Student's.
     """
     mean = mean_of(units, design)
     if design is None:
         return mean, _standard_error(units), units.shape[-1] - 1.0
     weights, members = design.weights, design.members
     sums = ((units - mean[..., None]) * weights) @ members
-    effective = 1.0 / float(np.square(weights @ members).sum())
-    error = np.sqrt(np.square(sums).sum(axis=-1) * effective / (effective - 1.0))
-    return mean, np.asarray(error), effective - 1.0
+    shares = weights @ members
+    square, cube = float(np.square(shares).sum()), float((shares**3).sum())
+    error = np.sqrt(np.square(sums).sum(axis=-1) * square / (square - 2.0 * cube + square**2))
+    equal = (units == units[..., :1]).all(axis=-1)  # their deviations are rounding
+    return mean, np.where(equal, 0.0, error), 1.0 / square - 1.0
 
 
 def _pairs(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> tuple[list[Floats], int]:

@@ -46,6 +46,32 @@ def test_policies_of_one_seed_count_as_one() -> None:
     assert second == "No other explainer differs significantly from the first."
 
 
+def test_one_training_tests_nothing() -> None:
+    said = answer_of(ranking({"a": [0.9, 0.8], "b": [0.3, 0.2]}, runs=2))
+    assert said == [
+        "`a` leads with a message fidelity of 0.850, over 2 policies (1 independent training).",
+        "Nothing is tested: one training gives no interval.",
+    ]
+
+
+def test_cells_weigh_the_same() -> None:
+    """Two policies with three agents and one with four: (0.9 + 0.7) / 2 and 0.4 have a mean of 0.6."""
+    levels = ((3, 0, 0.9), (3, 1, 0.7), (4, 0, 0.4))
+    board = board_of(
+        (
+            f"{name}{n}{seed}",
+            made_entry(
+                f"p{n}{seed}", name, 0.5, n_agents=n, training_seed=seed, message_fidelity=level - below
+            ),
+        )
+        for name, below in (("a", 0.0), ("b", 0.1))
+        for n, seed, level in levels
+    )
+    (first, *_) = answer_of(board["rankings"][0])
+    assert "`a` leads with a message fidelity of 0.600 (95 %: " in first
+    assert first.endswith("over 3 policies in 2 cells.")
+
+
 def test_a_tie_is_not_a_win() -> None:
     found = ranking({"a": [0.9, 0.5, 0.9], "b": [0.5, 0.9, 0.8], "c": [0.2, 0.1, 0.2]})
     said = answer_of(found)

@@ -117,7 +117,17 @@ def test_policies_of_one_seed_are_one_unit(run_cli: RunCli, entry: Entry, tmp_pa
     for each in entries:
         write_entry(tmp_path, each)
     ran = run_cli("compare", tmp_path, "--metric", "fid_delta")
-    assert "They are of 2 trainings: runs of one seed" in ran.out
+    assert "They are of 2 trainings: policies of one seed" in ran.out
+
+
+def test_cells_weigh_the_same(entry: Entry) -> None:
+    four = made_entry("small", "random", 0.5, n_agents=4, episodes=4)
+    entries = [
+        like(cell, name, [value] * 4, policy=policy, seed=None)
+        for cell, policy, value in ((entry, "p", 0.9), (entry, "q", 0.7), (four, "r", 0.4))
+        for name, value in (("a", value), ("b", 0.0))
+    ]
+    assert compare(blocks_of(entries), "fid_delta").pairs[0].difference.value == pytest.approx(0.6)
 
 
 def test_the_result_does_not_depend_on_the_order_of_entries_and_rows(entry: Entry) -> None:

@@ -127,6 +127,16 @@ def test_a_cluster_counts_as_one_by_hand() -> None:
     assert difference.p == pytest.approx(2 * stats.t.sf(3.0, 1))
 
 
+def test_a_cluster_weighs_no_more_for_its_units() -> None:
+    design = Design(tuple("aaab"))
+    assert over_runs([[0.0], [0.0], [0.0], [1.0]], [[0.0]] * 4, design=design).value == 0.5
+    assert student_p(np.full(21, 0.1), design=Design((*"a" * 20, "b"))) == 0.0
+    with pytest.raises(InputError, match="design of 4 for 2 runs"):
+        over_runs([[0.0], [1.0]], [[0.0]] * 2, design=design)
+    with pytest.raises(InputError, match="1 cells for 4 units"):
+        Design(tuple("aaab"), ("one",))
+
+
 def test_clusters_of_one_change_nothing_and_a_single_cluster_decides_nothing() -> None:
     a, b = [[1.0], [3.0], [2.5]], [[0.0], [1.0], [np.nan]]
     assert over_runs(a, b, design=Design(tuple("xyz"))) == over_runs(a, b)
@@ -138,26 +148,32 @@ def test_clusters_of_one_change_nothing_and_a_single_cluster_decides_nothing() -
 def test_cells_weigh_the_same_by_hand() -> None:
     """Weights 1/4, 1/4 and 1/2 give a mean of 4 and an effective number of 1 / (1/16 + 1/16 + 1/4) = 8/3.
 
-    Weighted deviations are -0.75, -0.25 and 1: the error is sqrt(1.625 x 8/5), with 5/3 degrees of freedom.
+    Their squares sum to 3/8 and their cubes to 5/32. Weighted deviations are -0.75, -0.25 and 1: the squared
+    error is 1.625 x 3/8 / (3/8 - 10/32 + 9/64) = 3, with 5/3 degrees of freedom.
     """
     design = Design(clusters=(1, 2, 3), cells=("a", "a", "b"))
     difference = over_runs([[1.0], [3.0], [6.0]], [[0.0]] * 3, design=design)
-    half = float(stats.t.ppf(0.975, 5 / 3)) * float(np.sqrt(2.6))
+    half = float(stats.t.ppf(0.975, 5 / 3)) * float(np.sqrt(3))
     assert difference.value == pytest.approx(4.0)
     assert difference.interval == pytest.approx((4.0 - half, 4.0 + half))
-    assert difference.p == pytest.approx(2 * stats.t.sf(4.0 / np.sqrt(2.6), 5 / 3))
+    assert difference.p == pytest.approx(2 * stats.t.sf(4.0 / np.sqrt(3), 5 / 3))
     lost = over_runs([[1.0], [3.0], [np.nan]], [[0.0]] * 3, design=design)
     kept = over_runs([[1.0], [3.0]], [[0.0]] * 2, design=Design((1, 2), ("a", "a")))
     assert lost == replace(kept, n_nan=1)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("runs", [(1, 1, 1, 1, 1, 1, 1, 1, 6), (2, 1, 2, 1, 2, 3, 1, 2, 1), (1, 5)])
-def test_a_mean_of_cells_is_covered_whatever_their_numbers_of_runs(runs: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("apart", [0.0, 1.0])
+@pytest.mark.parametrize("runs", [(1, 1, 1, 1, 1, 1, 1, 1, 6), (2, 1, 2, 1, 2, 3, 1, 2, 1), (1, 5), (1, 20)])
+def test_a_mean_of_cells_is_covered_whatever_their_numbers_of_runs(
+    runs: tuple[int, ...], apart: float
+) -> None:
+    """Also if cells differ, by steps of `apart` standard deviations."""
     cells = tuple(cell for cell, n in enumerate(runs) for _ in range(n))
-    units = rng(9).normal(size=(20_000, len(cells)))
+    units = rng(9).normal(size=(20_000, len(cells))) + apart * np.array(cells)
     low, high = student_interval(units, design=Design(tuple(range(len(cells))), cells))
-    assert np.mean((low <= 0.0) & (high >= 0.0)) >= 0.93
+    truth = apart * np.mean(np.unique(cells))
+    assert np.mean((low <= truth) & (high >= truth)) >= 0.93
 
 
 @pytest.mark.slow

@@ -35,6 +35,7 @@ NAMING = {
     "meta/degenerate.py": "tests certain metrics on degenerate explanations",
     "policy/default_policies.py": "ranks policies by what they can do",
     "submission/consistency.py": "which metrics follow from which",
+    "submission/control_consistency.py": "which metrics of a control follow from its mask",
     "board/columns.py": "draws the metric that can be gamed, and the agreement of metrics",
     "board/assets/scores.js": "what the page shows first, and of a policy",
 }

@@ -1,13 +1,13 @@
 """Judges statements on samples: held, not held or not decided, with the numbers.
 
-The training run is the unit; runs of one training, as checkpoints, larger teams, and with and without the
-term, form a cluster. A contrast holds by the paired t-test over runs, p under 0.05 after Bonferroni
-over the tests of the statement. "The same" and "no worse" hold if Student's interval of the mean difference
-is within the margin. They are refuted by the same test of a difference beyond the margin, also after
-Bonferroni: without it, chance puts one of nine cells beyond the margin in one of five statements. Differences
-are positive in the direction of the statement. The paper's own test, Mann-Whitney U of the pooled episodes of
-all runs, treats episodes of one run as independent runs, so it decides nothing here; only its effect size is
-reported.
+The training is the unit: its checkpoints, its teams of several sizes, and its runs with and without the term
+are not independent, and count as one. A contrast holds by the paired t-test over trainings, p under 0.05
+after Bonferroni over the tests of the statement. "The same" and "no worse" hold if Student's interval of the
+mean difference is within the margin. They are refuted by the same test of a difference beyond the margin,
+also after Bonferroni: without it, chance puts one of nine cells beyond the margin in one of five statements.
+Differences are positive in the direction of the statement. The paper's own test, Mann-Whitney U of the
+pooled episodes of all runs, treats episodes of one run as independent runs, so it decides nothing here; only
+its effect size is reported.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from itertools import chain
 
 import numpy as np
 
-from xmarl_bench.metrics.statistics import Design, bonferroni, over_runs, rank_biserial
+from xmarl_bench.metrics.statistics import Design, bonferroni, mean_of, over_runs, rank_biserial
 from xmarl_bench.papers.kailas2025.claims import (
     ORIENTATION,
     Cell,
@@ -49,7 +49,7 @@ class Compared:
     n_policies: int  # or pairs of policies
     n_episodes: int
     n_nan: int
-    a: float | None  # mean over policies of the mean over episodes
+    a: float | None  # mean over trainings of the mean over episodes
     b: float | None
     difference: float | None
     interval: tuple[float, float] | None
@@ -138,16 +138,22 @@ def compare(
         beyond = 1.0 if abs(difference.value) <= margin and beyond is not None else beyond
     effect = rank_biserial(np.concatenate(a), np.concatenate(b)) if a else None
     measured = [
-        (x[~np.isnan(x)], y[~np.isnan(y)])
-        for x, y in zip(a, b, strict=True)
+        k
+        for k, (x, y) in enumerate(zip(a, b, strict=True))
         if not np.isnan(x).all() and not np.isnan(y).all()
     ]
+    kept = None if design is None else design.of(measured)
+
+    def mean(side: Blocks) -> float | None:
+        means = np.array([np.nanmean(side[k]) for k in measured])
+        return float(mean_of(means, kept)) if measured else None
+
     return Compared(
         n_policies=len(measured),
         n_episodes=difference.n,
         n_nan=difference.n_nan,
-        a=float(np.mean([x.mean() for x, _ in measured])) if measured else None,
-        b=float(np.mean([y.mean() for _, y in measured])) if measured else None,
+        a=mean(a),
+        b=mean(b),
         difference=difference.value,
         interval=difference.interval,
         p=difference.p,

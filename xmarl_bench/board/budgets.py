@@ -6,7 +6,7 @@ import numpy as np
 
 from xmarl_bench.board.ranking import Floats
 from xmarl_bench.entry.schema import CellResult
-from xmarl_bench.metrics.statistics import student_interval
+from xmarl_bench.metrics.student import student_interval
 
 CURVES = ("explained", "random", "oracle")
 

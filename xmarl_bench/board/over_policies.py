@@ -18,7 +18,8 @@ from xmarl_bench.board.columns import MOST, ORDER, PAPER
 from xmarl_bench.board.entry_rows import Group, Json, value_of, values_of
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.explain.control_names import NEAREST, RANDOM
-from xmarl_bench.metrics.statistics import Design, interquartile_mean, mean_of, over_runs, over_units
+from xmarl_bench.metrics.statistics import interquartile_mean, over_runs, over_units
+from xmarl_bench.metrics.student import Design, mean_of
 
 Scored = tuple[Json, Group]  # the scope of a table, and a policy in it
 BEATEN = (RANDOM, NEAREST)  # controls that an explainer has to beat

@@ -14,11 +14,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_bench.metrics.statistics import (
+from xmarl_bench.metrics.statistics import groups_by_head, holm
+from xmarl_bench.metrics.student import (
     CONFIDENCE,
     Design,
-    groups_by_head,
-    holm,
     mean_of,
     n_independent,
     student_interval,

@@ -14,7 +14,7 @@ import numpy as np
 
 from xmarl_bench.board.columns import ORDER
 from xmarl_bench.board.ranking import DIGITS
-from xmarl_bench.metrics.statistics import Design, mean_of, student_interval
+from xmarl_bench.metrics.student import Design, mean_of, student_interval
 from xmarl_bench.records.files import canonical_json
 
 Json = dict[str, Any]

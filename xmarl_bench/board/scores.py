@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from xmarl_bench.metrics.statistics import Design, Difference, over_runs
+from xmarl_bench.metrics.statistics import Difference, over_runs
+from xmarl_bench.metrics.student import Design
 
 
 def overall_ranking(board: dict[str, Any]) -> dict[str, Any]:

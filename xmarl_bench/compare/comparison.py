@@ -21,7 +21,6 @@ from xmarl_bench.compare.matching import Blocks, named
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.metrics.performance_profile import Profile, performance_profile
 from xmarl_bench.metrics.statistics import (
-    Design,
     Difference,
     groups_by_head,
     holm,
@@ -29,6 +28,7 @@ from xmarl_bench.metrics.statistics import (
     over_units,
     probability_of_improvement,
 )
+from xmarl_bench.metrics.student import Design
 from xmarl_bench.metrics.table import OF_EXPLAINERS, Direction, metrics_of
 
 Floats = NDArray[np.float64]

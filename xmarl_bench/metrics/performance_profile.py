@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xmarl_bench.metrics.statistics import CONFIDENCE
+from xmarl_bench.metrics.student import CONFIDENCE
 
 
 @dataclass(frozen=True)

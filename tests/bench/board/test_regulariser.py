@@ -46,7 +46,11 @@ def paired(*others: tuple[str, Any]) -> list[Any]:
 
 
 def test_three_seeds_are_three_pairs() -> None:
-    """By hand: the differences are .2 .1 .3, -.1 .1 .2, .1 .2: mean .1375; standard deviation 0.118773."""
+    """By hand: differences are .2 .1 .3 -.1 .1 .2 in one cell and .1 .2 in another, with means 2/15 and .15.
+
+    Weights are 1/12 and 1/4, their squares sum to 1/6 and their cubes to 5/144; the squares of the weighted
+    deviations sum to 7/7200. The squared error is 7/7200 x 4/3, with 5 degrees of freedom.
+    """
     families = paired()
     attention = partial(score_of, explainer="attention")
     pairs = values_of(families, attention)
@@ -57,11 +61,11 @@ def test_three_seeds_are_three_pairs() -> None:
     assert np.array([each for _, *each in pairs]) == pytest.approx(np.array(ends))
     found = regulariser_of(families)["attention"]
     assert found["n"] == 8
-    assert (found["without"], found["with"]) == pytest.approx((4.2 / 8, 5.3 / 8))
-    assert found["difference"] == pytest.approx(0.1375)
-    half = 2.364624 * 0.118773 / 8**0.5  # Student's t of 7 degrees of freedom
-    assert found["interval"] == pytest.approx([0.1375 - half, 0.1375 + half], abs=1e-5)
-    assert answer_on_term("attention", found).endswith("(0.038 to 0.237), over 8 pairs of training runs.")
+    assert (found["without"], found["with"]) == pytest.approx((0.4, 13 / 24))
+    assert found["difference"] == pytest.approx(17 / 120)
+    half = 2.570582 * (7 / 5400) ** 0.5  # Student's t of 5 degrees of freedom
+    assert found["interval"] == pytest.approx([17 / 120 - half, 17 / 120 + half], abs=1e-5)
+    assert answer_on_term("attention", found).endswith("(0.049 to 0.234), over 8 pairs of training runs.")
 
 
 def test_runs_without_a_partner_change_nothing() -> None:

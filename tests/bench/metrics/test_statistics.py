@@ -13,7 +13,6 @@ from scipy import stats
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.statistics import (
-    Design,
     Difference,
     bonferroni,
     groups_by_head,
@@ -26,9 +25,8 @@ from xmarl_bench.metrics.statistics import (
     percentiles,
     probability_of_improvement,
     rank_biserial,
-    student_interval,
-    student_p,
 )
+from xmarl_bench.metrics.student import Design, student_interval, student_p
 
 P_VALUES = arrays(np.float64, st.integers(1, 12), elements=st.floats(0, 1))
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from tests.helpers.made_samples import made_samples
-from xmarl_bench.metrics.statistics import student_interval, student_p
+from xmarl_bench.metrics.student import student_interval, student_p
 from xmarl_bench.papers.kailas2025.claims import (
     ATTENTION,
     GNN,

@@ -20,7 +20,8 @@ from itertools import chain
 
 import numpy as np
 
-from xmarl_bench.metrics.statistics import Design, bonferroni, mean_of, over_runs, rank_biserial
+from xmarl_bench.metrics.statistics import bonferroni, over_runs, rank_biserial
+from xmarl_bench.metrics.student import Design, mean_of
 from xmarl_bench.papers.kailas2025.claims import (
     ORIENTATION,
     Cell,

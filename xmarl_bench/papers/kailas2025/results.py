@@ -13,7 +13,7 @@ import numpy as np
 
 from xmarl_bench.board.gate import gate_reason
 from xmarl_bench.entry.schema import Entry
-from xmarl_bench.metrics.statistics import student_interval
+from xmarl_bench.metrics.student import student_interval
 from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Claim, Term
 from xmarl_bench.papers.kailas2025.ledger import Judge, Judged, JudgedContrast, Verdict
 from xmarl_bench.papers.kailas2025.lenses import LENSES

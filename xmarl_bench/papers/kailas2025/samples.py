@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.control_names import INVERTED
-from xmarl_bench.metrics.statistics import Design
+from xmarl_bench.metrics.student import Design
 from xmarl_bench.metrics.table import METRICS
 from xmarl_bench.papers.kailas2025.claims import Cell, Contrast, Side, Term
 from xmarl_bench.policy import PolicyCard

@@ -1,0 +1,125 @@
+"""Student's intervals and tests of means whose units may belong together.
+
+Runs that share the start of their training, as with and without a regulariser, are not independent: they form
+a cluster, which counts as one training. A mean over several cells is the mean of their means: further
+trainings in a cell narrow its interval and do not change the cell's weight. Deviations are from the mean over
+all cells, so the interval of such a mean is wide for these cells, and says nothing of other tasks.
+
+Sources: Student (1908); Liang and Zeger (1986), clusters; Kish (1965), effective number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xmarl_bench.errors import InputError
+
+Floats = NDArray[np.float64]
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which units belong together: U labels each.
+
+    clusters: units of one cluster are not independent, and weigh together as much as another cluster. cells:
+    the mean is over cells of the mean over a cell's clusters; without them, over all clusters.
+    """
+
+    clusters: tuple[Hashable, ...]
+    cells: tuple[Hashable, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.cells and len(self.cells) != len(self.clusters):
+            raise InputError(
+                f"got {len(self.cells)} cells for {len(self.clusters)} units: give a label for each."
+            )
+
+    def of(self, kept: Sequence[int]) -> Design:
+        """The design of some of the units."""
+        return Design(tuple(self.clusters[k] for k in kept), tuple(self.cells[k] for k in kept if self.cells))
+
+    @property
+    def weights(self) -> Floats:
+        """(U,): of each unit in the mean; their sum is 1."""
+        cells = self.cells or (None,) * len(self.clusters)
+        units = Counter(zip(cells, self.clusters, strict=True))
+        clusters = Counter(cell for cell, _ in units)
+        return np.array(
+            [
+                1.0 / (len(clusters) * clusters[cell] * units[cell, cluster])
+                for cell, cluster in zip(cells, self.clusters, strict=True)
+            ]
+        )
+
+    @property
+    def members(self) -> Floats:
+        """(U, G): 1 where a unit is of a cluster."""
+        labels = dict.fromkeys(self.clusters)
+        return np.array([[float(each == label) for label in labels] for each in self.clusters])
+
+
+def student_interval(
+    units: Floats, confidence: float = CONFIDENCE, *, design: Design | None = None
+) -> tuple[Floats, Floats]:
+    """(..., U) -> low and high (...) of the mean over the last axis, for two independent units or more."""
+    from scipy.special import stdtrit  # imported lazily: reading entries does not need scipy
+
+    mean, error, freedom = _student(units, design)
+    half = stdtrit(freedom, 0.5 + confidence / 2) * error
+    return mean - half, mean + half
+
+
+def student_p(units: Floats, *, design: Design | None = None) -> Floats:
+    """(..., U) -> (...): two-sided p of a mean of 0 over the last axis, for two independent units or more.
+
+    If all units are equal, p is 1 if they are 0, and 0 otherwise.
+    """
+    from scipy.special import stdtr
+
+    mean, error, freedom = _student(units, design)
+    size = np.abs(mean)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(error > 0.0, size / error, np.where(size > 0.0, np.inf, 0.0))
+    return np.asarray(2.0 * stdtr(freedom, -t))
+
+
+def mean_of(units: Floats, design: Design | None) -> Floats:
+    """(..., U) -> (...): the mean over the last axis."""
+    n = units.shape[-1]
+    return np.asarray(units.sum(axis=-1) / n if design is None else (units * design.weights).sum(axis=-1))
+
+
+def n_independent(units: Floats, design: Design | None) -> int:
+    """The number of units (..., U) that are independent."""
+    return units.shape[-1] if design is None else len(set(design.clusters))
+
+
+def standard_error(units: Floats) -> Floats:
+    """(..., U) -> (...): of the mean over the last axis, of independent units."""
+    return np.asarray(units.std(axis=-1, ddof=1) / math.sqrt(units.shape[-1]))
+
+
+def _student(units: Floats, design: Design | None) -> tuple[Floats, Floats, float]:
+    """(..., U) -> mean and its standard error (...), and the degrees of freedom.
+
+    With a design the error is that of the sums of clusters, whatever their units have in common, unbiased if
+    clusters are independent and vary alike. The degrees of freedom are one less than Kish's effective number
+    of clusters, which is smaller if some weigh more. Without weights and clusters both are Student's.
+    """
+    mean = mean_of(units, design)
+    if design is None:
+        return mean, standard_error(units), units.shape[-1] - 1.0
+    weights, members = design.weights, design.members
+    sums = ((units - mean[..., None]) * weights) @ members
+    shares = weights @ members
+    square, cube = float(np.square(shares).sum()), float((shares**3).sum())
+    error = np.sqrt(np.square(sums).sum(axis=-1) * square / (square - 2.0 * cube + square**2))
+    equal = (units == units[..., :1]).all(axis=-1)  # their deviations are rounding
+    return mean, np.where(equal, 0.0, error), 1.0 / square - 1.0

@@ -33,9 +33,10 @@ help:  ## Show this list
 
 venv: $(STAMP)  ## Create .venv and install the project with its pinned versions
 
+# Python compiles a module when it is first imported; to compile everything installed would take a minute more.
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
 score: $(STAMP)  ## Score three explainers on each cell's best policy; ALL=1: all on all

@@ -70,9 +70,9 @@ def test_no_two_files_import_each_other(package: ModuleType) -> None:
     arrows: dict[str, set[str]] = {}
     for name, file in files.items():
         if name not in faces:
-            taken = names_taken(file)
             arrows[name] = {
-                faces[module].get(each, module) if module in faces else module for module, each in taken
+                f"{module}.{each}" if f"{module}.{each}" in files else faces.get(module, {}).get(each, module)
+                for module, each in names_taken(file)
             }
     TopologicalSorter(arrows).prepare()  # raises CycleError with the files of a circle
 
@@ -86,7 +86,7 @@ def names_taken(file: Path) -> set[tuple[str, str]]:
     return {
         (node.module, alias.name)
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ImportFrom) and node.module
+        if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module
         for alias in node.names
     }
 
@@ -99,14 +99,14 @@ def names_handed_on(face: Path) -> dict[str, str]:
 @functools.cache
 def modules_imported(file: Path) -> set[str]:
     """Full names of all modules that a file imports from, also inside functions."""
-    names = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            bare = node.module == "xmarl_bench"
-            names |= {f"{node.module}.{alias.name}" if bare else node.module for alias in node.names}
-    return names
+    plain = {
+        alias.name
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Import)
+        for alias in node.names
+    }
+    taken = names_taken(file)
+    return plain | {f"{module}.{name}" if module == "xmarl_bench" else module for module, name in taken}
 
 
 def imported(file: Path) -> set[str]:

@@ -48,6 +48,7 @@ def value_of(row: Json) -> float | None:
 
 
 def values_of(rows: Sequence[Json]) -> list[float]:
+    """The values of those rows that have one."""
     return [value for row in rows if (value := value_of(row)) is not None]
 
 

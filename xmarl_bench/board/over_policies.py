@@ -18,8 +18,8 @@ from xmarl_bench.board.columns import MOST, ORDER, PAPER
 from xmarl_bench.board.entry_rows import Group, Json, value_of, values_of
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.explain.control_names import NEAREST, RANDOM
-from xmarl_bench.metrics.statistics import interquartile_mean, over_runs, over_units
-from xmarl_bench.metrics.student import Design, mean_of
+from xmarl_bench.metrics.statistics import interquartile_mean, over_units
+from xmarl_bench.metrics.student import Design, interval_of, mean_of
 
 Scored = tuple[Json, Group]  # the scope of a table, and a policy in it
 BEATEN = (RANDOM, NEAREST)  # controls that an explainer has to beat
@@ -83,7 +83,7 @@ def _ranking(pairs: Sequence[Scored]) -> Json:
              "trained_n_agents": group.policy["trained_n_agents"]}
             for scope, group in compared
         ],
-        "n_cells": len(set(design.cells or ())),
+        "n_cells": len(set(design.cells)),
         "n_trainings": len(set(design.clusters)),
         "lead": _lead(found, names, blocks, design),
         "rows": sorted(
@@ -111,9 +111,7 @@ def _above(rows: Sequence[Json], controls: Sequence[Json | None], design: Design
     difference = np.round(np.array(values_of(rows)) - np.array(values_of(known)), DIGITS)
     value = round(_mean(difference, design), DIGITS)
     if len(rows) > 1:
-        units = difference[:, None]
-        found = over_runs(list(units), list(np.zeros_like(units)), design=design)
-        return {"difference": value, "interval": None if found.interval is None else list(found.interval)}
+        return {"difference": value, "interval": interval_of(difference, design=design)}
     intervals = [each["metrics"][ORDER["by"]]["interval"] for each in (rows[0], known[0])]
     if None in intervals:
         return {"difference": value, "interval": None}

@@ -2,7 +2,7 @@
 
 Comparisons are paired: competitors are compared on the same units. With several policies the units are
 training runs, in clusters where they share a start, with a single policy its episodes
-(xmarl_bench.metrics.statistics).
+(xmarl_bench.metrics.student).
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 
 from xmarl_bench.board.columns import ORDER
 from xmarl_bench.board.ranking import DIGITS
-from xmarl_bench.metrics.student import Design, mean_of, student_interval
+from xmarl_bench.metrics.student import Design, interval_of, mean_of
 from xmarl_bench.records.files import canonical_json
 
 Json = dict[str, Any]
@@ -68,12 +68,11 @@ def compared(families: Sequence[Json], value: Callable[[Json], float | None]) ->
     cells = tuple((family["task"], family["n_agents"]) for family, *_ in found)
     design = Design(clusters=tuple(range(len(pairs))), cells=cells)
     difference = np.round(pairs[:, 1] - pairs[:, 0], DIGITS)
-    interval = None if len(pairs) < 2 else student_interval(difference, design=design)
     return {
         "without": float(mean_of(pairs[:, 0], design)),
         "with": float(mean_of(pairs[:, 1], design)),
         "difference": float(mean_of(difference, design)),
-        "interval": None if interval is None else [float(x) for x in interval],
+        "interval": interval_of(difference, design=design),
         "n": len(pairs),
     }
 

@@ -52,9 +52,10 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
             }
             groups = grouped.setdefault(canonical_json(scope), {})
             scopes[canonical_json(scope)] = scope
-            group = groups.setdefault(
-                (entry.policy.name, entry.policy.weights_sha256), Group(file, policy_record(entry, cell))
-            )
+            name = entry.policy.name, entry.policy.weights_sha256
+            if name not in groups:
+                groups[name] = Group(file, policy_record(entry, cell))
+            group = groups[name]
             if file < group.file:
                 group.file, group.policy = file, policy_record(entry, cell)
             group.rows.append(entry_row(file, entry, k))
@@ -62,10 +63,10 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
             group.episodes[file] = np.array(
                 [getattr(row, ORDER["by"]) for row in cell.episodes], dtype=np.float64
             )
-            for name, metrics in cell.controls.items():
-                known = group.controls.get(name)
-                if name != INVERTED and (known is None or file < known["file"]):  # the explainer's own
-                    group.controls[name] = control_row(file, name, metrics, entry.protocol.episodes)
+            for control, metrics in cell.controls.items():
+                known = group.controls.get(control)
+                if control != INVERTED and (known is None or file < known["file"]):  # the explainer's own
+                    group.controls[control] = control_row(file, control, metrics, entry.protocol.episodes)
     listed = sorted(
         ((scopes[key], [group for _, group in sorted(groups.items())]) for key, groups in grouped.items()),
         key=lambda pair: _table_order(pair[0], protocols[pair[0]["protocol"]]),

@@ -26,10 +26,10 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.metrics.student import (
     CONFIDENCE,
     Design,
+    interval_of,
     mean_of,
     n_independent,
     standard_error,
-    student_interval,
     student_p,
 )
 
@@ -208,11 +208,9 @@ def _difference(
     if not units.size:
         return Difference(None, None, None, 0, n, n_nan)
     value, independent = float(mean_of(units, design)), n_independent(units, design)
-    if independent < 2:
-        return Difference(value, None, None, independent, n, n_nan)
-    low, high = student_interval(units, confidence, design=design)
-    p = float(student_p(units, design=design))
-    return Difference(value, (float(low), float(high)), p, independent, n, n_nan)
+    interval = interval_of(units, confidence, design=design)
+    p = None if interval is None else float(student_p(units, design=design))
+    return Difference(value, interval, p, independent, n, n_nan)
 
 
 def _pairs(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> tuple[list[Floats], int]:

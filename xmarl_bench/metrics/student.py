@@ -76,6 +76,16 @@ def student_interval(
     return mean - half, mean + half
 
 
+def interval_of(
+    units: Floats, confidence: float = CONFIDENCE, *, design: Design | None = None
+) -> tuple[float, float] | None:
+    """(U,) -> `student_interval`; None for fewer than two independent units."""
+    if n_independent(units, design) < 2:
+        return None
+    low, high = student_interval(units, confidence, design=design)
+    return float(low), float(high)
+
+
 def student_p(units: Floats, *, design: Design | None = None) -> Floats:
     """(..., U) -> (...): two-sided p of a mean of 0 over the last axis, for two independent units or more.
 

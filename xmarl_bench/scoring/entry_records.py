@@ -25,6 +25,7 @@ from xmarl_bench.scoring.task_record import task_record
 def entry_of(
     plan: Plan, results: Results, controls: Controls, started: str, jobs: int, submitter: str | None
 ) -> Entry:
+    """The entry of a plan whose pieces are complete. started, jobs: of the run."""
     request = plan.request
     card, sampling = request.card, request.sampling
     cells = [

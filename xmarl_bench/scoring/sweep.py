@@ -228,7 +228,7 @@ class Sweep:
         return self._states[environment]
 
     def _reference(self, environment: Environment) -> Tensor | None:
-        """The states of `xmarl_bench.explain.absence.reference_states`, played once with those to fit on."""
+        """The states of `xmarl_bench.rollout.reference_states`, played once with those to fit on."""
         return self._fit_states(environment) if isinstance(environment.policy, GraphPolicy) else None
 
     def _controls(self, environment: Environment) -> tuple[Explainer, ...]:

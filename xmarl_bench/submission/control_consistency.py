@@ -60,6 +60,7 @@ IDENTITIES: tuple[tuple[str, str, float | str], ...] = (
 
 
 def control_findings(cell: CellResult) -> Iterator[str]:
+    """A sentence per finding on the controls of a cell; none if they are consistent."""
     expected = ALWAYS_PRESENT
     if set(cell.controls) - IF_INITIAL_SEED not in (expected, expected | IF_ORACLE):
         yield f"controls are {shown(', '.join(sorted(cell.controls)), 200)}, expected {sorted(expected)}."

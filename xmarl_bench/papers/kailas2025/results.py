@@ -13,7 +13,7 @@ import numpy as np
 
 from xmarl_bench.board.gate import gate_reason
 from xmarl_bench.entry.schema import Entry
-from xmarl_bench.metrics.student import student_interval
+from xmarl_bench.metrics.student import interval_of
 from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Claim, Term
 from xmarl_bench.papers.kailas2025.ledger import Judge, Judged, JudgedContrast, Verdict
 from xmarl_bench.papers.kailas2025.lenses import LENSES
@@ -84,18 +84,15 @@ def quality(data: StudyData) -> list[Json]:
                     blocks = [x for x in blocks if x.size]
                     if not blocks:
                         continue
-                    interval = None
-                    if len(blocks) > 1:
-                        low, high = student_interval(np.array([x.mean() for x in blocks]))
-                        interval = float(low), float(high)
+                    means = np.array([x.mean() for x in blocks])
                     records.append(
                         {
                             "cell": cell.label,
                             "regularised": regularised,
                             "explainer": explainer,
                             "metric": metric,
-                            "mean": float(np.mean([x.mean() for x in blocks])),
-                            "interval": interval,
+                            "mean": float(np.mean(means)),
+                            "interval": interval_of(means),
                             "n_policies": len(blocks),
                         }
                     )

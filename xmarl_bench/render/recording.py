@@ -40,6 +40,7 @@ class Recording:
     policy: Policy | None
     run_seed: int  # the seed of the run that plays this episode
     seed: int  # of the episode
+    max_cycles: int | None  # after which it would have ended; None: the task's default
     track: Track
     observations: Floats  # (T, N, D + H), before each action: what agents saw and remembered
     success_rate: float  # as in `Episode`
@@ -55,7 +56,7 @@ class Recording:
                 f"choose a policy, or leave the explainer out."
             )
         task, n_agents = self.task.name, self.task.n_agents
-        states = partial(fit_states, self.policy, task, n_agents)
+        states = partial(fit_states, self.policy, task, n_agents, self.max_cycles)
         explainer = fitted(explainer, self.policy, states, self.run_seed)
         explainer = replace(explainer, simulator=Simulator(task, n_agents, self.seed))
         seed = derived_seed("explainer", self.run_seed, explainer.name, self.seed)
@@ -109,6 +110,7 @@ def record(
         policy=policy,
         run_seed=seed,
         seed=environment_seed,
+        max_cycles=max_cycles,
         track=track,
         observations=np.stack(observations),
         success_rate=float(step.success[0].mean()),

@@ -2,8 +2,8 @@
 
 Explainers that learn are fitted on them, and their messages replace those that absence models remove. They
 are FIT_TIMESTEPS evenly spaced steps of each of FIT_EPISODES episodes with environment seeds 2^30 + k.
-Training draws such seeds; scoring seeds begin at 10^12. The states are the same for every explainer, run and
-sampling.
+Training draws such seeds; scoring seeds begin at 10^12. The states are the same for every explainer and run
+whose episodes end after the same number of steps.
 """
 
 from __future__ import annotations
@@ -23,10 +23,15 @@ FIT_TIMESTEPS: Final = 20
 FIRST_FIT_SEED: Final = 2**30
 
 
-def fit_states(policy: Policy, task: str, n_agents: int, episodes: int = FIT_EPISODES) -> Tensor:
-    """(S, N, D) observations to fit an explainer on, of that many episodes."""
+def fit_states(
+    policy: Policy, task: str, n_agents: int, max_cycles: int | None = None, episodes: int = FIT_EPISODES
+) -> Tensor:
+    """(S, N, D) observations to fit an explainer on, of that many episodes.
+
+    max_cycles: steps per episode, as in scoring; None: the task's default.
+    """
     seeds = tuple(range(FIRST_FIT_SEED, FIRST_FIT_SEED + episodes))
-    played = Rollout(policy, Cell(task, n_agents), seeds, None).play()
+    played = Rollout(policy, Cell(task, n_agents), seeds, max_cycles).play()
     return torch.tensor(
         np.concatenate([each.observations[spaced_timesteps(each.makespan, FIT_TIMESTEPS)] for each in played])
     )

@@ -224,7 +224,9 @@ class Sweep:
     def _fit_states(self, environment: Environment) -> Tensor:
         if environment not in self._states:
             cell = environment.cell
-            self._states[environment] = fit_states(environment.policy, cell.task, cell.n_agents)
+            self._states[environment] = fit_states(
+                environment.policy, cell.task, cell.n_agents, environment.max_cycles
+            )
         return self._states[environment]
 
     def _reference(self, environment: Environment) -> Tensor | None:

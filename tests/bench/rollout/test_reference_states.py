@@ -53,9 +53,9 @@ def test_a_run_fits_once_and_refits_for_shuffled_weights(
 ) -> None:
     played: list[str] = []
 
-    def counted(policy: Policy, task: str, n_agents: int) -> Tensor:
+    def counted(policy: Policy, task: str, n_agents: int, max_cycles: int | None) -> Tensor:
         played.append(task)
-        return fit_states(policy, task, n_agents)
+        return fit_states(policy, task, n_agents, max_cycles)
 
     monkeypatch.setattr(sweep, "fit_states", counted)
     policy, card = load_policy(make_bundle())
@@ -73,7 +73,8 @@ def test_a_run_fits_once_and_refits_for_shuffled_weights(
     assert len(shuffled) == 5  # sanity checks of 3 and of 2 episodes
     assert first[0] not in shuffled
     assert all(torch.equal(states, first[1]) for _, states in others)
-    assert torch.equal(first[1], fit_states(policy, card.task, 3))
+    assert torch.equal(first[1], fit_states(policy, card.task, 3, max_cycles=4))
+    assert len(first[1]) == 4 * FIT_EPISODES  # episodes end as early as scored ones
     assert all(entry.explainer.needs_fit for entry in entries)
     again = list(entries_of(score_requests([requests[0]])))
     assert again[0].results[0].episodes == entries[0].results[0].episodes

@@ -4,7 +4,7 @@ Kailas et al. (ICML 2025, appendix) train with lambda 10, 50 and 50. Each run he
 of that schedule from scratch, with and without lambda, with advantages normalised as in the paper's table and
 the other way round. Nothing decays in the schedule, so a short run is the beginning of the whole one.
 
-    python -m xmarl_baselines.paper_lambda navigation-schedule-n3-lambda10-seed0 --iterations 15
+    python -m xmarl_baselines.paper_lambda navigation-n3-schedule-lambda10-seed0 --iterations 15
 
 writes baselines/xmarl_baselines/controls/paper_lambda/NAME.json, shown in baselines/README.md.
 `xmarl-train --reproduce NAME` trains the whole schedule.
@@ -120,7 +120,7 @@ def _action(policy: GraphPolicy, seen: Tensor, mask: Tensor | None = None) -> ND
 
 
 def main(
-    name: Annotated[str, typer.Argument(help="e.g. navigation-schedule-n3-lambda10-seed0")],
+    name: Annotated[str, typer.Argument(help="e.g. navigation-n3-schedule-lambda10-seed0")],
     iterations: Annotated[int, typer.Option(min=1, help="of the paper's schedule")],
     episodes: Annotated[int, typer.Option(min=1, help="of the evaluation at the end")] = EPISODES,
     out: Annotated[Path, typer.Option(help="folder for NAME.json")] = RECORDS,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,6 +107,15 @@ def test_a_team_that_hears_itself_alone_depends_on_no_message(monkeypatch: pytes
     assert after == pytest.approx(
         {"attention_entropy": 0, "own_share": 1, "most_heard": 1 / 3, "communication_dependence": 0}, abs=1e-6
     )
+
+
+def test_the_commands_of_records_and_documents_name_runs_that_exist() -> None:
+    root = Path(__file__).parents[2]
+    text = "\n".join(path.read_text() for path in [root / "README.md", *root.glob("*/**/*.md")])
+    named = re.findall(r"(?:paper_lambda|--reproduce) ([a-z]+-n\d\S*?-seed\d)", text)
+    assert len(named) > 10
+    for name in {*named, *(path.stem for path in paper_lambda.RECORDS.glob("*.json"))}:
+        assert run_named(name).name == name
 
 
 @pytest.mark.training

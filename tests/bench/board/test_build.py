@@ -152,12 +152,6 @@ def test_serve_answers_on_this_machine(board: Path, run_cli: RunCli, monkeypatch
     assert served["address"] == "127.0.0.1"
 
 
-@pytest.mark.slow
-def test_the_committed_board_is_up_to_date() -> None:
-    leaderboard = Path(__file__).parents[3] / "leaderboard"
-    assert check_board(leaderboard) == []  # if it fails, run: xmarl-bench board build
-
-
 # Killed builds: the child is killed before its k-th change of the disk, for every k.
 
 

@@ -56,18 +56,6 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The committed board, with its page."""
-    folder = tmp_path_factory.mktemp("published") / "leaderboard"
-    folder.mkdir()
-    leaderboard = Path(__file__).parents[4] / "leaderboard"
-    (folder / "entries").symlink_to(leaderboard / "entries")
-    (folder / CARDS).symlink_to(leaderboard / CARDS)
-    build_board(folder)
-    return folder
-
-
-@pytest.fixture(scope="session")
 def crowded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Sixty explainers on a policy, one of them with a name of 100 characters."""
     folder = tmp_path_factory.mktemp("crowded")

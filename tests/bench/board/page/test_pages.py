@@ -180,28 +180,6 @@ def test_a_team_of_five_is_shown_first(board: Path, browse: Browse) -> None:
     expect(page.get_by_text("p2: FidDelta against the budget, messages between agents")).to_be_visible()
 
 
-QUESTIONS = {  # -> the link, and what the answer looks like
-    "who wins on passage?": ("passage", r"^[\w-]+( and [\w-]+)? leads? with a message fidelity of"),
-    "is GNNExplainer better than chance?": ("gnn_explainer", r"^It is (not shown to be )?better than random"),
-    "does the regulariser help attention?": (
-        "regulariser",
-        r"^Attention-entropy regularisation .* attention",
-    ),
-    "how do I read this column?": ("definitions", r"^Change of the action .*; higher is better"),
-    "how do I submit?": ("submit", r"^Pack the entries: xmarl-bench submit"),
-}
-
-
-def test_five_questions_take_one_click(published: Path, browse: Browse) -> None:
-    """The answer is in the view that a link of the committed board's first view opens."""
-    for question, (name, answer) in QUESTIONS.items():
-        page = browse(published / "index.html", viewport={"width": 1440, "height": 900})
-        link = page.get_by_role("link", name=name, exact=True).first
-        expect(link, question).to_be_in_viewport()
-        link.click()
-        expect(page.get_by_text(re.compile(answer)).first, question).to_be_in_viewport()
-
-
 def test_a_heading_of_the_scores_says_how_to_read_it(board: Path, browse: Browse) -> None:
     page = browse(board / "scores.html")
     page.get_by_role("button", name="message fidelity \u2191").click()

@@ -11,30 +11,18 @@ import io
 import os
 import subprocess
 import sys
-import traceback
-import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cloudpickle
 import numpy as np
 from pettingzoo import ParallelEnv
-from pettingzoo.test import (
-    api_test,
-    max_cycles_test,
-    parallel_api_test,
-    parallel_seed_test,
-    render_test,
-    seed_test,
-)
-from pettingzoo.test.state_test import state_test
-from pettingzoo.utils import BaseParallelWrapper, parallel_to_aec
 
 from xmarl_envs.actions import random_actions
 from xmarl_envs.constructors import make_constructors
+from xmarl_envs.pettingzoo_checks import Make, check_pettingzoo, promise
 from xmarl_envs.task import Task
 from xmarl_envs.trajectory import Pushes, play, play_env, play_task
 from xmarl_envs.vector_env import VectorEnv
@@ -42,9 +30,7 @@ from xmarl_envs.vector_env import VectorEnv
 MAX_STEPS = 1000  # of an episode that does not end by itself
 SIZES = (1, 2, 3, 4, 5, 8, 16, 32, 64)
 HASH_SEEDS = ("0", "12345")
-EPISODES_TRIED = 20  # to find one that lasts for all cycles
 EXTREMES = (1.0, 1e3, 1e6)  # m/s and m
-Make = Callable[..., Any]  # a ParallelEnv's constructor with its options bound
 
 
 def check_task(task: type[Task] | Callable[..., Any], *, seed: int = 0, **options: Any) -> None:
@@ -86,25 +72,25 @@ def check_task(task: type[Task] | Callable[..., Any], *, seed: int = 0, **option
 
 def _check_environment(name: str, make: Make, episode: Callable[[], str], seed: int) -> None:
     """Check the promises of any ParallelEnv. episode: returns an episode's hash, also in other processes."""
-    with _promise(name, "it can be made and is a PettingZoo ParallelEnv"):
+    with promise(name, "it can be made and is a PettingZoo ParallelEnv"):
         env = make()
         assert isinstance(env, ParallelEnv), f"it is a {type(env).__name__}"
         name = env.metadata.get("name", name)
-    _check_pettingzoo(name, make, bool(env.metadata.get("render_modes")), seed)
+    check_pettingzoo(name, make, bool(env.metadata.get("render_modes")), seed)
     for at_bounds in (False, True):
-        with _promise(name, "its spaces contain every observation"):
+        with promise(name, "its spaces contain every observation"):
             _check_contained(make(), seed, at_bounds)
-    with _promise(name, "another seed gives another episode"):
+    with promise(name, "another seed gives another episode"):
         starts = {play_env(make(), seed + k, max_steps=5) for k in range(4)}
         assert len(starts) == 4, f"four seeds gave {len(starts)}"
     alone = play_env(make(), seed, MAX_STEPS)
     same = "the same seed and actions give the same episode"
-    with _promise(name, f"{same} whatever was played before"):
+    with promise(name, f"{same} whatever was played before"):
         env = make()
         for k in (1, 2, 0):
             used = play_env(env, seed + k, MAX_STEPS)
         assert used == alone, "it differs after two other episodes in the same environment"
-    with _promise(name, f"{same} whatever is played beside it"):
+    with promise(name, f"{same} whatever is played beside it"):
         other = make()
         others_pushes = Pushes(other, seed + 1)
 
@@ -117,7 +103,7 @@ def _check_environment(name: str, make: Make, episode: Callable[[], str], seed: 
             "it differs while a second environment is stepped in turn with it"
         )
     if "rgb_array" in env.metadata.get("render_modes", ()):
-        with _promise(name, f"{same} whether it is drawn or not"):
+        with promise(name, f"{same} whether it is drawn or not"):
             drawn = make(render_mode="rgb_array")
             assert play_env(drawn, seed, MAX_STEPS, _every(20, drawn.render)) == alone, (
                 "it differs when it is rendered"
@@ -125,61 +111,10 @@ def _check_environment(name: str, make: Make, episode: Callable[[], str], seed: 
             drawn.close()
     here = episode()
     for hash_seed in HASH_SEEDS:
-        with _promise(name, f"{same} in every process"):
+        with promise(name, f"{same} in every process"):
             assert _in_another_process(episode, hash_seed) == here, (
                 f"it differs in a process with PYTHONHASHSEED={hash_seed}"
             )
-
-
-def _check_pettingzoo(name: str, make: Make, renders: bool, seed: int) -> None:
-    def make_aec(**options: Any) -> Any:
-        return parallel_to_aec(make(**options))
-
-    passes = "it passes PettingZoo's {} without a warning"
-    with _promise(name, passes.format("parallel_api_test")):
-        parallel_api_test(make(), num_cycles=300)
-    with _promise(name, passes.format("api_test when stepped turn by turn")):
-        api_test(make_aec(), num_cycles=300)
-    with _promise(name, passes.format("parallel_seed_test")):
-        parallel_seed_test(make, num_cycles=500)
-    with _promise(name, passes.format("seed_test")):
-        seed_test(make_aec, num_cycles=500)
-    with _promise(name, passes.format("max_cycles_test")):
-        _max_cycles_test(make, seed)
-    with _promise(name, passes.format("state_test")):
-        state_test(make_aec(), make())
-    if renders:
-        with _promise(name, passes.format("render_test")):
-            render_test(make_aec)
-
-
-def _max_cycles_test(make: Make, seed: int) -> None:
-    """Run PettingZoo's `max_cycles_test` on seeded episodes until one passes.
-
-    It fails on an episode that ends before `max_cycles`; without seeds that would happen by chance.
-    """
-
-    class Seeded(BaseParallelWrapper):  # type: ignore[misc]  # no py.typed in pettingzoo
-        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-            return self.env.reset(seed=episode if seed is None else seed, options=options)
-
-    def parallel_env(**options: Any) -> Seeded:
-        env = Seeded(make(**options))
-        env.reset()  # some have no agents before
-        for k, agent in enumerate(env.possible_agents):
-            env.action_space(agent).seed(episode + k)
-        return env
-
-    def env(**options: Any) -> Any:
-        return parallel_to_aec(parallel_env(**options))
-
-    for episode in range(seed, seed + EPISODES_TRIED):
-        try:
-            max_cycles_test(SimpleNamespace(parallel_env=parallel_env, env=env))
-            return
-        except AssertionError:
-            if episode + 1 == seed + EPISODES_TRIED:
-                raise
 
 
 def _check_contained(env: Any, seed: int, at_bounds: bool) -> None:
@@ -207,7 +142,7 @@ def _check_observations(task: Task, make: Make, seed: int) -> None:
     """Check the observations of a Task by moving the agents of an episode by hand."""
     name = task.name
     rng = np.random.default_rng(seed)
-    with _promise(name, "no agent observes another"):
+    with promise(name, "no agent observes another"):
         env = VectorEnv(task)
         for trial in range(10):
             env.reset([seed + trial])
@@ -219,7 +154,7 @@ def _check_observations(task: Task, make: Make, seed: int) -> None:
                 seen = np.flatnonzero((env.observe()[0] != before).any(axis=-1))
                 witnesses = [int(i) for i in seen if i != mover]
                 assert not witnesses, f"moving agent {mover} changed what agents {witnesses} observe"
-    with _promise(name, "its spaces contain every observation at any speed and place"):
+    with promise(name, "its spaces contain every observation at any speed and place"):
         shell = make()
         env.reset([seed])
         for extreme in EXTREMES:
@@ -230,7 +165,7 @@ def _check_observations(task: Task, make: Make, seed: int) -> None:
 
 
 def _check_batches(task: Task, seed: int) -> None:
-    with _promise(task.name, "an episode does not depend on its neighbours in a batch"):
+    with promise(task.name, "an episode does not depend on its neighbours in a batch"):
         alone = play_task(task, seed)
         for n_episodes, slot in ((2, 1), (5, 0), (5, 3)):
             env = VectorEnv(task, n_episodes)
@@ -245,12 +180,12 @@ def _check_team_sizes(task: type[Task], seed: int, **options: Any) -> None:
     options.pop("n_agents", None)
     make = make_constructors(task).parallel_env
     for n_agents in sorted({*(n for n in SIZES if n < task.max_agents), min(task.max_agents, SIZES[-1])}):
-        with _promise(task.name, f"it plays with any team of 1 to {task.max_agents}"):
+        with promise(task.name, f"it plays with any team of 1 to {task.max_agents}"):
             env = make(n_agents=n_agents, max_cycles=3, **options)
             assert len(env.possible_agents) == n_agents, f"{n_agents} make a team of {env.possible_agents}"
             _check_contained(env, seed, at_bounds=True)
     for n_agents in (0, task.max_agents + 1):
-        with _promise(task.name, f"it refuses a team of {n_agents}, saying so in a ValueError"):
+        with promise(task.name, f"it refuses a team of {n_agents}, saying so in a ValueError"):
             try:
                 make(n_agents=n_agents, **options)
             except ValueError as refusal:
@@ -289,25 +224,6 @@ def _in_another_process(episode: Callable[[], str], hash_seed: str) -> str:
     )
     assert run.returncode == 0, f"there it fails with {run.stderr.decode().strip().splitlines()[-1]}"
     return str(run.stdout.decode().splitlines()[-1])
-
-
-@contextlib.contextmanager
-def _promise(name: str, promise: str) -> Iterator[None]:
-    """Turn whatever is raised inside into an AssertionError that names the promise.
-
-    Warnings of PettingZoo's tests are errors: they report most faults only so. An assertion without a message
-    is quoted.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("error", category=UserWarning, module=r"pettingzoo\.")
-            warnings.filterwarnings("ignore", message=".*(minimum|maximum).*space value.*infinity.*")
-            yield
-    except Exception as error:
-        said = str(error).strip().splitlines()
-        how = said[0].rstrip(".") if said else traceback.extract_tb(error.__traceback__)[-1].line
-        kind = "" if isinstance(error, AssertionError) else f"{type(error).__name__}: "
-        raise AssertionError(f"{name} breaks the promise that {promise}: {kind}{how}.") from error
 
 
 @contextlib.contextmanager

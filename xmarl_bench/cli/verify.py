@@ -79,7 +79,8 @@ def verify(
     from xmarl_bench.records.strict_json import printable
     from xmarl_bench.submission.batch import Unit, verify_all
     from xmarl_bench.submission.checking import check
-    from xmarl_bench.submission.verification import Options, Tier, is_signed, lines, signed
+    from xmarl_bench.submission.verdict_lines import lines
+    from xmarl_bench.submission.verification import Options, Tier, is_signed, signed
 
     if tier not in list(Tier):
         raise unknown("tier", tier, Tier)

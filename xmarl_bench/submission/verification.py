@@ -5,7 +5,6 @@ Verification changes no measured value, and the block is not part of the entry's
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -14,7 +13,6 @@ import numpy as np
 
 from xmarl_bench.counted import counted
 from xmarl_bench.entry.file import read_entry
-from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.provenance import commit_of_harness, now
 from xmarl_bench.entry.schema import Entry, Verification
@@ -23,12 +21,11 @@ from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.isolation.walls import SIGNED, Wall, strongest
-from xmarl_bench.metrics.table import by_name
 from xmarl_bench.origin.installed import harness_version
 from xmarl_bench.plugins.names import find_policy, is_shipped
 from xmarl_bench.plugins.registry import ask_explainer, find_explainer
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
-from xmarl_bench.records.strict_json import printable, shown
+from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import fresh_seeds
 from xmarl_bench.scoring.entry_records import explainer_record
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
@@ -37,12 +34,6 @@ from xmarl_bench.submission.recompute import Difference
 from xmarl_bench.submission.rerun import Rerun, record_findings, rerun
 from xmarl_bench.submission.rounding import CLOSE
 from xmarl_bench.submission.tolerance import AGGREGATES, Platform, agrees, disagreeing, is_same_platform
-
-WALLS: dict[Wall, str] = {
-    "bubblewrap": "bubblewrap",
-    "landlock": "Landlock and seccomp",
-    "process": "no wall",
-}
 
 
 class Tier(StrEnum):
@@ -265,39 +256,3 @@ def our_explainer(entry: Entry) -> tuple[Explainer, list[str]]:
     """The shipped explainer of the entry's name, and where it disagrees with the entry."""
     ours = find_explainer(entry.explainer.name)
     return ours, list(record_findings(entry.explainer, explainer_record(ours, 0)))
-
-
-def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
-    """Lines to print: one per finding, or one that tells how the entry passed."""
-    where = f"{printable(path)}: {printable(file)}"
-    for finding in verdict.findings:
-        yield f"{where}: {finding}"
-    if verdict.fresh is not None:
-        yield from (f"{where}: {each}" for each in _fresh_lines(verdict.entry, verdict.fresh))
-    elif not verdict.findings:
-        how = "bit for bit" if verdict.bitwise else "within the tolerance of another platform"
-        again = (
-            f", {counted(verdict.episodes, 'episode')} again" if verdict.tier is not Tier.recompute else ""
-        )
-        behind = "" if verdict.wall is None else f", third-party code behind {WALLS[verdict.wall]}"
-        yield (
-            f"{where}: {STATUS[verdict.tier]}{again}{behind}, {how}, "
-            f"largest difference {verdict.max_abs_diff}."
-        )
-
-
-def _fresh_lines(entry: Entry, fresh: Fresh) -> Iterator[str]:
-    """For each cell the metric that decides, and whether the explainer does worse."""
-    for cell, compared in zip(entry.results, fresh.cells, strict=True):
-        episodes = counted(fresh.episodes, "fresh episode")
-        where = f"{cell.task}, {counted(cell.n_agents, 'agent')}: {episodes} from {fresh.value}"
-        decides = headline(compared)
-        if decides is None:
-            yield f"{where}: no metric to compare."
-            continue
-        name, found = decides
-        interval = "" if found.interval is None else " [{:.3f}, {:.3f}]".format(*found.interval)
-        yield f"{where}: {by_name()[name].title}, public less fresh {found.difference:.3f}{interval}."
-        worse = worse_on_fresh(compared)
-        if worse is not None:
-            yield worse

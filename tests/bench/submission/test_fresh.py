@@ -40,7 +40,8 @@ from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
 from xmarl_bench.submission.checking import check
 from xmarl_bench.submission.packing import as_submitted, bundle_files
-from xmarl_bench.submission.verification import Options, Tier, Verdict, lines, verify
+from xmarl_bench.submission.verdict_lines import lines
+from xmarl_bench.submission.verification import Options, Tier, Verdict, verify
 
 EPISODES, CYCLES = 10, 6
 LATER = "3f2a9c1"  # a commit after the submission

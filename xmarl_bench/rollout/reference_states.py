@@ -37,6 +37,8 @@ def fit_states(
     )
 
 
-def reference_states(policy: Policy, task: str, n_agents: int) -> Tensor | None:
+def reference_states(
+    policy: Policy, task: str, n_agents: int, max_cycles: int | None = None
+) -> Tensor | None:
     """(S, N, D) observations whose messages replace removed ones; None if the policy's are not known."""
-    return fit_states(policy, task, n_agents) if isinstance(policy, GraphPolicy) else None
+    return fit_states(policy, task, n_agents, max_cycles) if isinstance(policy, GraphPolicy) else None

@@ -31,6 +31,7 @@ from xmarl_bench.submission import tolerance, verification
 from xmarl_bench.submission.checking import Checked, check
 from xmarl_bench.submission.recompute import Difference
 from xmarl_bench.submission.tolerance import agrees, disagreeing
+from xmarl_bench.submission.verdict_lines import WALLS
 from xmarl_bench.submission.verification import Options, Tier, Verdict, verify
 
 SPOT, FULL = Options(Tier.spot, episodes=7), Options(Tier.full)
@@ -300,7 +301,7 @@ def test_third_party_code_runs_only_if_trusted_and_in_the_sandbox(
     reference = ["--explainer", f"{code}:stranger"]
     ran = run_cli("verify", path, "--tier", "full", "--trust-code", *reference)
     assert (ran.code, ran.err) == (0, "")
-    wall = verification.WALLS[strongest()]
+    wall = WALLS[strongest()]
     assert f"re-executed, 3 episodes again, third-party code behind {wall}, bit for bit" in ran.out
     code.write_text(STRANGER + "# changed since\n")
     ran = run_cli("verify", path, "--tier", "spot", "--trust-code", "--explainer", f"{code}:other")

@@ -1,8 +1,8 @@
-"""The first iterations of the paper's own schedule with its weight of the attention-entropy term.
+"""The paper's own schedule with its weight of the attention-entropy term, whole or the first iterations of it.
 
-Kailas et al. (ICML 2025, appendix) train with lambda 10, 50 and 50. Each run here trains the first iterations
-of that schedule from scratch, with and without lambda, with advantages normalised as in the paper's table and
-the other way round. Nothing decays in the schedule, so a short run is the beginning of the whole one.
+Kailas et al. (ICML 2025, appendix) train with lambda 10, 50 and 50. Each run here trains that schedule from
+scratch, with and without lambda, with advantages normalised as in the paper's table and the other way round.
+Nothing decays in the schedule, so a short run is the beginning of the whole one.
 
     python -m xmarl_baselines.paper_lambda navigation-n3-schedule-lambda10-seed0 --iterations 15
 

@@ -1,4 +1,4 @@
-"""The paper's own schedule with its weight of the attention-entropy term, whole or the first iterations of it.
+"""The paper's own schedule with its weight of the attention-entropy term, whole or its first iterations.
 
 Kailas et al. (ICML 2025, appendix) train with lambda 10, 50 and 50. Each run here trains that schedule from
 scratch, with and without lambda, with advantages normalised as in the paper's table and the other way round.

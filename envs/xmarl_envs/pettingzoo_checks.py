@@ -25,8 +25,8 @@ Make = Callable[..., Any]  # a ParallelEnv's constructor with its options bound
 
 
 @contextlib.contextmanager
-def promise(name: str, promise: str) -> Iterator[None]:
-    """Turn whatever is raised inside into an AssertionError that names the promise.
+def promise(name: str, what: str) -> Iterator[None]:
+    """Turn whatever is raised inside into an AssertionError that names what was promised.
 
     Warnings of PettingZoo's tests are errors: they report most faults only so. An assertion without a message
     is quoted.
@@ -40,7 +40,7 @@ def promise(name: str, promise: str) -> Iterator[None]:
         said = str(error).strip().splitlines()
         how = said[0].rstrip(".") if said else traceback.extract_tb(error.__traceback__)[-1].line
         kind = "" if isinstance(error, AssertionError) else f"{type(error).__name__}: "
-        raise AssertionError(f"{name} breaks the promise that {promise}: {kind}{how}.") from error
+        raise AssertionError(f"{name} breaks the promise that {what}: {kind}{how}.") from error
 
 
 def check_pettingzoo(name: str, make: Make, renders: bool, seed: int) -> None:

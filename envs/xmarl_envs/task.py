@@ -146,7 +146,7 @@ def scatter(rng: np.random.Generator, n_points: int, half_width: float, spacing:
         # As many as still lack a place: never more than are needed, whatever fits.
         for x, y in rng.uniform(-half_width, half_width, (n_points - len(points), 2)).tolist():
             for a, b in points:
-                if sqrt((x - a) * (x - a) + (y - b) * (y - b)) < spacing:
+                if abs(x - a) < spacing and sqrt((x - a) * (x - a) + (y - b) * (y - b)) < spacing:
                     break
             else:
                 points.append((x, y))

@@ -33,4 +33,5 @@ def by_chunks(
 
 def timestep_seeds(n_steps: int, generator: torch.Generator) -> list[int]:
     """One seed per timestep, the same as `xmarl_bench.PygExplain` draws from this generator."""
-    return [int(seed) for seed in torch.randint(2**62, (n_steps,), generator=generator)]
+    seeds: list[int] = torch.randint(2**62, (n_steps,), generator=generator).tolist()
+    return seeds

@@ -17,9 +17,9 @@ from xmarl_bench.policy import GraphPolicy, Policy
 from xmarl_bench.policy.network import Prepared
 
 Activation = Callable[[Tensor], Tensor]  # overwrites its input
-Slope = Callable[[Tensor, Tensor], Tensor]  # g, y -> g times the derivative at output y; overwrites g
+Slope = Callable[[Tensor, Tensor], Tensor]  # g, y -> g times the derivative at output y; overwrites both
 ACTIVATIONS: Final[dict[type[nn.Module], tuple[Activation, Slope]]] = {
-    nn.ReLU: (torch.relu_, lambda g, y: g.mul_(y.sign())),
+    nn.ReLU: (torch.relu_, lambda g, y: g.mul_(y.sign_())),
     nn.Sigmoid: (torch.sigmoid_, lambda g, y: g.mul_(1 - y).mul_(y)),
     nn.Tanh: (torch.tanh_, lambda g, y: g.mul_(_one_minus_square(y))),
 }

@@ -16,7 +16,6 @@ import tempfile
 from typing import IO, NoReturn, TypedDict
 
 import pytest
-import scipy.stats  # noqa: F401
 
 from xmarl_bench.cli import board, score  # noqa: F401
 from xmarl_bench.cli import main as cli

@@ -19,7 +19,8 @@ from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import BytecodeCache, Environment, FileSystemLoader, StrictUndefined
+from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 
 from xmarl_bench.board.answer import answer_about, answer_on_term, number
@@ -114,6 +115,23 @@ def breakable(name: str) -> Markup:
     return Markup(re.sub("([-_])", r"\1<wbr>", str(escape(name))))
 
 
+class _CompiledTemplates(BytecodeCache):
+    """Compiling the templates takes as long as filling them in: done once in a process."""
+
+    def __init__(self) -> None:
+        self.by_key: dict[str, bytes] = {}
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        if bucket.key in self.by_key:
+            bucket.bytecode_from_string(self.by_key[bucket.key])
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        self.by_key[bucket.key] = bucket.bytecode_to_string()
+
+
+_COMPILED = _CompiledTemplates()
+
+
 def _environment(explainers: Set[str], cards: Json) -> Environment:
     environment = Environment(
         loader=FileSystemLoader(HERE / "templates"),
@@ -121,6 +139,7 @@ def _environment(explainers: Set[str], cards: Json) -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=_COMPILED,
     )
 
     def linked(text: str, root: str) -> Markup:

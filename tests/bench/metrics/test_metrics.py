@@ -174,6 +174,9 @@ def test_masks_that_rank_nothing_have_no_rank_correlation() -> None:
 def test_rank_correlation_of_one_row_is_spearmans() -> None:
     a, b = np.random.default_rng(0).integers(0, 5, (2, 12)).astype(float)  # with ties
     assert rank_correlation(a[None], b[None]) == pytest.approx(spearmanr(a, b).statistic)
+    some = np.arange(12) < 9
+    of_some = spearmanr(a[some], b[some]).statistic
+    assert rank_correlation(a[None], b[None], some[None]) == pytest.approx(of_some)
 
 
 def test_mask_mass_by_hand() -> None:

@@ -2,6 +2,10 @@
 
 1024 timesteps of the shipped navigation policy. Its decoder is the largest of all tasks (256, 256), and takes
 most of the oracle's time. `gnn_explainer_over_oracle` is the ratio of their times on one thread.
+
+Sums over subsets of senders are not what takes long. In the tables of all absence models at N = 8 (20
+timesteps, profiled) the network's layers take 83 % of the time in navigation and 51 % in discovery, these
+sums 5 % and 22 %. Built by doubling they would change the last bits of entries, and not halve the time.
 """
 
 from __future__ import annotations

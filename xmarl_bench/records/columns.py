@@ -74,9 +74,7 @@ def _rows(row: type[BaseModel], columns: BaseModel, n: int) -> list[BaseModel | 
         values.append(column)
     names = tuple(row.model_fields)
     return [
-        None
-        if all(each is None for each in one)
-        else row.model_construct(**dict(zip(names, one, strict=True)))
+        None if all(each is None for each in one) else row.model_validate(dict(zip(names, one, strict=True)))
         for one in zip(*values, strict=True)
     ]
 

@@ -6,28 +6,31 @@ Nothing decays in the schedule, so a short run is the beginning of the whole one
 
     python -m xmarl_baselines.paper_lambda navigation-n3-schedule-lambda10-seed0 --iterations 15
 
-writes baselines/xmarl_baselines/controls/paper_lambda/NAME.json, shown in baselines/README.md.
-`xmarl-train --reproduce NAME` trains the whole schedule.
+writes baselines/xmarl_baselines/controls/paper_lambda/NAME.json, shown in baselines/README.md. After an
+interruption the same command goes on, and one with more iterations goes on after those that are there:
+RUNS/NAME keeps checkpoints (trainer.py) and attention.json. `xmarl-train --reproduce NAME` trains and
+validates the whole schedule.
 """
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
 import typer
 from numpy.typing import NDArray
-from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
+from stable_baselines3.common.callbacks import BaseCallback
 from torch import Tensor
 
 from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.reference import run_named
 from xmarl_baselines.training.mappo import MAPPO
 from xmarl_baselines.training.model_selection import plain_actor
-from xmarl_baselines.training.trainer import Run, build
+from xmarl_baselines.training.run_files import damaged, read_run_file
+from xmarl_baselines.training.trainer import Checkpoints, Run, begin
+from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import attention_entropy, prediction_change
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.records.files import write_json
@@ -56,12 +59,14 @@ def most_heard(attention: NDArray[np.floating]) -> float:
 
 
 class _Attention(BaseCallback):
-    """Records and prints the attention on the states of each iteration, before the update on them."""
+    """Records and prints the attention on the states of each iteration, before the update on them.
 
-    def __init__(self, name: str) -> None:
+    records: of the iterations before. `file` gets all of them after each iteration.
+    """
+
+    def __init__(self, name: str, file: Path, records: list[AttentionRecord]) -> None:
         super().__init__()
-        self._name = name
-        self.records: list[AttentionRecord] = []
+        self._name, self._file, self.records = name, file, records
 
     def _on_step(self) -> bool:
         return True
@@ -79,21 +84,42 @@ class _Attention(BaseCallback):
             "success_while_exploring": float(np.mean(ended)) if ended else None,
         }
         self.records.append(record)
+        write_json(self._file, self.records)
         print(self._name, record, flush=True)
 
 
-def first_iterations(run: Run, iterations: int, folder: Path) -> tuple[GraphPolicy, list[AttentionRecord]]:
-    """The policy after `iterations` of `run`, and its attention on the states of each iteration.
+class Schedule(NamedTuple):
+    """The first iterations of a schedule."""
 
-    `folder` gets SB3's checkpoints.
+    policy: GraphPolicy  # after them
+    along: list[AttentionRecord]  # on the states of each
+    seconds: float  # of CPU time
+
+
+def first_iterations(run: Run, iterations: int, folder: Path) -> Schedule:
+    """Train them, from the last checkpoint in `folder` if there is one.
+
+    Raises InputError if `folder` holds another run, or more iterations of this one.
     """
-    recipe = run.recipe
-    model = build(run, seed=run.seed)
-    recorder = _Attention(run.name)
-    keeping = CheckpointCallback(CHECKPOINT_EVERY * recipe.n_steps, str(folder), name_prefix="model")
-    model.learn(iterations * recipe.n_envs * recipe.n_steps, callback=[recorder, keeping])
-    model.save(folder / "model")
-    return plain_actor(model), recorder.records
+    each = run.recipe.n_envs * run.recipe.n_steps
+    model, frames, seconds = begin(run, folder, resume=True)
+    if frames > iterations * each:
+        raise InputError(
+            f"{folder} holds {frames // each} iterations of this run already: choose at least as many, or "
+            f"other --runs."
+        )
+    file = folder / "attention.json"
+    known: list[AttentionRecord] = read_run_file(file, list) if file.exists() else []
+    along = known[: frames // each]
+    if len(along) * each != frames:
+        raise damaged(file)
+    recorder = _Attention(run.name, file, along)
+    checkpoints = Checkpoints(folder, CHECKPOINT_EVERY, seconds)
+    if frames < iterations * each:
+        callbacks = [recorder, checkpoints]
+        model.learn(iterations * each - frames, callback=callbacks, reset_num_timesteps=frames == 0)
+        checkpoints.save()
+    return Schedule(plain_actor(model), along, checkpoints.seconds)
 
 
 @torch.inference_mode()
@@ -124,14 +150,13 @@ def main(
     iterations: Annotated[int, typer.Option(min=1, help="of the paper's schedule")],
     episodes: Annotated[int, typer.Option(min=1, help="of the evaluation at the end")] = EPISODES,
     out: Annotated[Path, typer.Option(help="folder for NAME.json")] = RECORDS,
-    runs: Annotated[Path, typer.Option(help="folder for checkpoints")] = Path("runs"),
+    runs: Annotated[Path, typer.Option(help="folder for checkpoints")] = Path("runs/schedules"),
 ) -> None:
     """Train the first iterations of one of the paper's schedules and record its attention."""
-    run, started = run_named(name), time.process_time()
+    run = run_named(name)
     recipe = run.recipe
     with one_thread():
-        policy, along = first_iterations(run, iterations, runs / name)
-        seconds = time.process_time() - started
+        policy, along, seconds = first_iterations(run, iterations, runs / name)
         record: dict[str, Any] = {
             "name": name,
             "command": f"python -m xmarl_baselines.paper_lambda {name} --iterations {iterations}"

@@ -20,6 +20,7 @@ from xmarl_baselines.training.shaping import Shaping
 from xmarl_baselines.training.trainer import Run, build
 from xmarl_envs import TASKS
 
+from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.rollout.cell import Sampling
 
@@ -130,7 +131,7 @@ def test_a_run_writes_a_record_and_a_row(tmp_path: Path, monkeypatch: pytest.Mon
     record = json.loads((tmp_path / f"{name}.json").read_text())
     assert [each["frames"] for each in record["along"]] == [0, 80, 160]
     assert record["frames"] == 240
-    saved = plain_actor(MAPPO.load(tmp_path / "runs" / name / "model"))
+    saved = plain_actor(MAPPO.load(tmp_path / "runs" / name / "checkpoint.zip"))
     assert paper_lambda.listening(saved, "blind_navigation_v0", 3) == record["listening"]
     (row,) = lambda_rows()
     assert (row["lambda"], row["advantages"], row["frames (M)"]) == (10.0, "raw", "0.00 of 2.7")
@@ -142,10 +143,41 @@ def test_a_run_writes_a_record_and_a_row(tmp_path: Path, monkeypatch: pytest.Mon
 def test_the_first_recorded_attention_is_of_the_untrained_team(tmp_path: Path) -> None:
     short = replace(PAPER_SCHEDULE["blind_discovery_v0"], n_envs=4, n_steps=10, batch_size=40)
     run = Run(short, attention_entropy=50.0)
-    _, records = paper_lambda.first_iterations(run, 1, tmp_path)
+    records = paper_lambda.first_iterations(run, 1, tmp_path).along
     model = build(run, seed=0)
     model.learn(1)
     fresh = build(run, seed=0).policy.actor
     seen = torch.from_numpy(model.rollout_buffer.observations).flatten(0, 1)
     attention = fresh.attention(seen).detach().numpy()
     assert records[0]["own_share"] == pytest.approx(paper_lambda.own_share(attention))
+
+
+@pytest.mark.training
+def test_iterations_go_on_where_they_were_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paper_lambda, "CHECKPOINT_EVERY", 2)
+    short = replace(PAPER_SCHEDULE["blind_discovery_v0"], n_envs=4, n_steps=10, batch_size=40)
+    run = Run(short, attention_entropy=50.0)
+    whole = paper_lambda.first_iterations(run, 6, tmp_path / "whole")
+
+    def interrupt(*_: object) -> None:
+        if len(json.loads((folder / "attention.json").read_bytes())) == 4:
+            raise KeyboardInterrupt
+
+    folder = tmp_path / "interrupted"
+    with monkeypatch.context() as patch:
+        patch.setattr("builtins.print", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            paper_lambda.first_iterations(run, 6, folder)
+    assert json.loads((folder / "progress.json").read_bytes())["frames"] == 3 * 40
+    seen = json.loads((folder / "attention.json").read_bytes())
+    resumed = paper_lambda.first_iterations(run, 6, folder)
+    assert [each["frames"] for each in resumed.along] == [each["frames"] for each in whole.along]
+    assert resumed.along[:3] == seen[:3] == whole.along[:3]
+    assert len(paper_lambda.first_iterations(run, 8, folder).along) == 8
+    with pytest.raises(InputError, match="holds 8 iterations of this run already"):
+        paper_lambda.first_iterations(run, 7, folder)
+    (folder / "attention.json").write_text("[]")
+    with pytest.raises(InputError, match=r"attention\.json is damaged"):
+        paper_lambda.first_iterations(run, 9, folder)

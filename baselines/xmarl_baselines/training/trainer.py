@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from stable_baselines3.common.callbacks import BaseCallback
 from xmarl_envs import make_task
@@ -111,14 +111,9 @@ def train(
     checkpoint_every: iterations between checkpoints. device: of torch, see `checked_device`. Raises
     InputError if `folder` holds another run, or if it holds this one and `resume` is not set.
     """
-    done = _begin(run, folder, resume)
-    frames, seconds = done or (0, 0.0)
-    model = build(run, seed=run.seed + frames, tensorboard=folder / "tensorboard", device=device)
-    if done is not None:
-        _restore(model, folder / "checkpoint.zip")
-        model.num_timesteps = frames
-    elif start_from is not None:
-        _restore(model, start_from / "checkpoint.zip")
+    model, frames, seconds = begin(
+        run, folder, resume=resume, start_from=start_from, tensorboard=folder / "tensorboard", device=device
+    )
     cell = Cell(run.recipe.task, run.n_agents)
     selection = ModelSelection(
         folder,
@@ -126,7 +121,7 @@ def train(
         every=max(1, run.recipe.frames // VALIDATIONS),
         after=run.regularised_from,
     )
-    checkpoints = _Checkpoints(folder, checkpoint_every, seconds, report)
+    checkpoints = Checkpoints(folder, checkpoint_every, seconds, report)
     if frames < run.recipe.frames:
         model.learn(
             run.recipe.frames - frames,
@@ -141,6 +136,35 @@ def train(
         selection.init_callback(model)
     policy, validation = selection.best()
     return Trained(policy, seconds, validation, selection.curve())
+
+
+class Begun(NamedTuple):
+    """A learner, and what it has behind it."""
+
+    model: MAPPO
+    frames: int
+    seconds: float  # of CPU time
+
+
+def begin(
+    run: Run,
+    folder: Path,
+    *,
+    resume: bool,
+    start_from: Path | None = None,
+    tensorboard: Path | None = None,
+    device: str = CPU,
+) -> Begun:
+    """The learner at the last checkpoint in `folder`, or at its beginning. Arguments, errors: as `train`."""
+    done = _progress(run, folder, resume)
+    frames, seconds = done or (0, 0.0)
+    model = build(run, seed=run.seed + frames, tensorboard=tensorboard, device=device)
+    if done is not None:
+        _restore(model, folder / "checkpoint.zip")
+        model.num_timesteps = frames
+    elif start_from is not None:
+        _restore(model, start_from / "checkpoint.zip")
+    return Begun(model, frames, seconds)
 
 
 def build(run: Run, *, seed: int, tensorboard: Path | None = None, device: str = CPU) -> MAPPO:
@@ -177,7 +201,7 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None, device: str =
     return model
 
 
-def _begin(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
+def _progress(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
     """Frames and seconds at the last checkpoint in `folder`, or None; writes the settings of a new run."""
     settings, progress = folder / "settings.json", folder / "progress.json"
     if not settings.exists():
@@ -218,10 +242,13 @@ class _Caution(BaseCallback):
         self.training_env.set_attr("caution", 1.0 + (self._growth - 1.0) * done)
 
 
-class _Checkpoints(BaseCallback):
-    """Saves checkpoints and reports progress after every iteration."""
+class Checkpoints(BaseCallback):
+    """Saves a checkpoint after every few iterations, and reports progress after each.
 
-    def __init__(self, folder: Path, every: int, seconds: float, report: Report | None) -> None:
+    seconds: of CPU time before.
+    """
+
+    def __init__(self, folder: Path, every: int, seconds: float, report: Report | None = None) -> None:
         super().__init__()
         self._folder, self._every, self._report = folder, every, report
         self._earlier, self._started = seconds, time.process_time()

@@ -31,7 +31,7 @@ COMMANDS = {
     "list explainers": ["list", "explainers"],
     "validate ENTRY": ["validate", str(ENTRIES[0])],
     "compare ENTRY ENTRY": ["compare", str(ENTRIES[0]), str(ENTRIES[-1])],
-    "status": ["status"],
+    "status --cache UNKNOWN": ["status", "--cache", "nowhere"],
     "score --policy UNKNOWN": ["score", "--policy", "nobody"],
     "score --explainer UNKNOWN": ["score", "--explainer", "nobody"],
 }

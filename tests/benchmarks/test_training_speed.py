@@ -229,10 +229,11 @@ def test_time_to_success_beside_benchmarl(
     mine = benchmark.stats.stats.min - spent["validate"]
     theirs = peer.train_until(tmp_path / "theirs", SUCCESS, COLLISION_FREE, LONGER * mine)
     frames = f"ours {last['frames'] / 1e6:.1f} M frames, theirs {theirs.frames / 1e6:.1f} M"
+    rates = " and ".join(f"{rate:.2f}" for rate in theirs.rates)
     record(
         benchmark, report, f"training to {SUCCESS} success and {COLLISION_FREE} collision-free",
         "BenchMARL's MAPPO, default settings", ours=[mine], theirs=[theirs.seconds], unit="s",
-        remark=frames if theirs.reached else f"{frames}, stopped at {theirs.rates}",
+        remark=frames if theirs.reached else f"{frames}, stopped at {rates}",
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ writes baselines/xmarl_baselines/controls/TASK.json, shown in baselines/README.m
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +25,7 @@ from xmarl_envs import TaskParallelEnv, make_task
 from xmarl_envs.sb3_vec_env import SuperSuitVecEnv
 
 from xmarl_baselines.reference import EPISODES
+from xmarl_bench.cli.program import run as run_program
 from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.records.files import write_json
 from xmarl_bench.reproducible import one_thread
@@ -102,4 +104,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_program("independent_ppo", partial(typer.run, main), "stopped.")

@@ -14,6 +14,7 @@ validates the whole schedule.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -30,6 +31,7 @@ from xmarl_baselines.training.mappo import MAPPO
 from xmarl_baselines.training.model_selection import plain_actor
 from xmarl_baselines.training.run_files import damaged, read_run_file
 from xmarl_baselines.training.trainer import Checkpoints, Run, begin
+from xmarl_bench.cli.program import run as run_program
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import attention_entropy, prediction_change
 from xmarl_bench.policy import GraphPolicy
@@ -178,4 +180,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_program("paper_lambda", partial(typer.run, main), "stopped; the same command goes on.")

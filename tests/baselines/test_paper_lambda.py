@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import runpy
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,6 +122,17 @@ def test_the_commands_of_records_and_documents_name_runs_that_exist() -> None:
         assert run_named(name).name == name
 
 
+def test_an_unknown_run_is_refused_in_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["paper_lambda", "nobody", "--iterations", "1"])
+    monkeypatch.delitem(sys.modules, "xmarl_baselines.paper_lambda")
+    with pytest.raises(SystemExit) as stopped:
+        runpy.run_module("xmarl_baselines.paper_lambda", run_name="__main__")
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.startswith("paper_lambda: unknown reference policy 'nobody': choose one")
+
+
 @pytest.mark.training
 def test_a_run_writes_a_record_and_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = "navigation-n3-schedule-lambda10-seed0"
@@ -161,7 +174,7 @@ def test_iterations_go_on_where_they_were_interrupted(
     run = Run(short, attention_entropy=50.0)
     whole = paper_lambda.first_iterations(run, 6, tmp_path / "whole")
 
-    def interrupt(*_: object) -> None:
+    def interrupt(*_: object, **__: object) -> None:
         if len(json.loads((folder / "attention.json").read_bytes())) == 4:
             raise KeyboardInterrupt
 

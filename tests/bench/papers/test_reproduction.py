@@ -127,6 +127,13 @@ def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     assert "Missing: passage, N = 5." in page
     assert "- Larger teams than in training: navigation: `xmarl-bench study zero-shot`\n\n**How" in page
     assert "xmarl-bench study main --jobs 2 --policy paper --episodes 4 --timesteps 3\n" in page
+    again = {**results, "title": "Another title"}
+    (tmp_path / "study" / "results.json").write_text(json.dumps(again))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "results.json").write_text(json.dumps({**results, "families": ["residual"]}))
+    main([tmp_path / "other", tmp_path / "study"], tmp_path)
+    kept = [(each["title"], each["families"]) for each in json.loads((tmp_path / DATA).read_text())]
+    assert kept == [("Another title", ["paper"]), ("A title", ["residual"])]
     with pytest.raises(InputError, match="run `xmarl-bench study` first"):
         main([tmp_path / "none"], tmp_path)
 

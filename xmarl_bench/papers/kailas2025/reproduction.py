@@ -3,7 +3,8 @@
     python -m xmarl_bench.papers.kailas2025.reproduction study/main study/training study/zero-shot
 
 Reads results.json of each folder, and writes docs/reproduction.json, a small file that is committed, and
-docs/reproduction.md, which is a function of it. No number or verdict is typed by hand.
+docs/reproduction.md, which is a function of it. No number or verdict is typed by hand. A study replaces an
+earlier one of its name and families; other studies of the file stay.
 """
 
 from __future__ import annotations
@@ -228,15 +229,18 @@ def read_results(folder: Path) -> Json:
 
 
 def main(
-    folders: Annotated[list[Path], typer.Argument(help="Folders of studies, in the order of the page.")],
+    folders: Annotated[list[Path], typer.Argument(help="Folders of studies.")],
     out: Annotated[Path, typer.Option(help="Folder of reproduction.json and reproduction.md.")] = Path(
         "docs"
     ),
 ) -> None:
-    """Write the findings of the studies."""
-    findings = [findings_of(read_results(folder)) for folder in folders]
-    write_json(out / DATA, findings)
-    write_atomically(out / PAGE, page_of(json.loads((out / DATA).read_bytes())).encode())
+    """Write the findings of the studies, in place of earlier ones of the same studies and families."""
+    data = out / DATA
+    known = json.loads(data.read_bytes()) if data.exists() else []
+    made = [findings_of(read_results(folder)) for folder in folders]
+    findings = {(each["study"], *each["families"]): each for each in (*known, *made)}
+    write_json(data, list(findings.values()))
+    write_atomically(out / PAGE, page_of(json.loads(data.read_bytes())).encode())
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""A board of 2,000 entries builds in under a minute, and sorts in under a second in Chromium.
+"""A board of 2,000 entries builds in under a minute of CPU time, and sorts in under a second in Chromium.
 
-The entries are generated: 200 policies with ten explainers each. The bars hold for wall clock on this
-machine, so run it on an idle one. The build's CPU time is printed too; other load changes it less.
+The entries are generated: 200 policies with ten explainers each. Sorting is timed by wall clock, on an idle
+machine. The bytes are those of the largest page, with the script of all rows that two of the pages load.
 """
 
 from __future__ import annotations
@@ -31,10 +31,9 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.benchmark(timer=time.process_time)
 def test_build(benchmark: BenchmarkFixture, many: Path) -> None:
-    started = time.process_time()
     benchmark.pedantic(build_board, args=(many,), rounds=1)  # type: ignore[no-untyped-call]
-    benchmark.extra_info["cpu_seconds"] = round(time.process_time() - started, 1)
     assert benchmark.stats is None or benchmark.stats.stats.max < BUILD_SECONDS
     largest = max(path.stat().st_size for path in many.rglob("*.html"))
     rows = sum(path.stat().st_size for path in (many / "pages").glob("board-*.js"))

@@ -10,7 +10,6 @@ makes the page from these files.
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +18,7 @@ import typer
 from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.reference import dose_runs
 from xmarl_bench import score
-from xmarl_bench.cli.program import run as run_program
+from xmarl_bench.cli.program import run_function
 from xmarl_bench.policy import load_policy
 from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.untrusted import CARD
@@ -74,4 +73,4 @@ def main(
 
 
 if __name__ == "__main__":
-    run_program("dose", partial(typer.run, main), "stopped.")
+    run_function(main)

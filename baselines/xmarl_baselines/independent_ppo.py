@@ -13,7 +13,6 @@ writes baselines/xmarl_baselines/controls/TASK.json, shown in baselines/README.m
 from __future__ import annotations
 
 import time
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,7 +24,7 @@ from xmarl_envs import TaskParallelEnv, make_task
 from xmarl_envs.sb3_vec_env import SuperSuitVecEnv
 
 from xmarl_baselines.reference import EPISODES
-from xmarl_bench.cli.program import run as run_program
+from xmarl_bench.cli.program import run_function
 from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.records.files import write_json
 from xmarl_bench.reproducible import one_thread
@@ -104,4 +103,4 @@ def main(
 
 
 if __name__ == "__main__":
-    run_program("independent_ppo", partial(typer.run, main), "stopped.")
+    run_function(main)

@@ -14,7 +14,6 @@ validates the whole schedule.
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -31,7 +30,7 @@ from xmarl_baselines.training.mappo import MAPPO
 from xmarl_baselines.training.model_selection import plain_actor
 from xmarl_baselines.training.run_files import damaged, read_run_file
 from xmarl_baselines.training.trainer import Checkpoints, Run, begin
-from xmarl_bench.cli.program import run as run_program
+from xmarl_bench.cli.program import run_function
 from xmarl_bench.errors import InputError
 from xmarl_bench.metrics import attention_entropy, prediction_change
 from xmarl_bench.policy import GraphPolicy
@@ -121,7 +120,7 @@ def first_iterations(run: Run, iterations: int, folder: Path) -> Schedule:
         callbacks = [recorder, checkpoints]
         model.learn(iterations * each - frames, callback=callbacks, reset_num_timesteps=frames == 0)
         checkpoints.save()
-    return Schedule(plain_actor(model), along, checkpoints.seconds)
+    return Schedule(plain_actor(model), recorder.records, checkpoints.seconds)
 
 
 @torch.inference_mode()
@@ -180,4 +179,4 @@ def main(
 
 
 if __name__ == "__main__":
-    run_program("paper_lambda", partial(typer.run, main), "stopped; the same command goes on.")
+    run_function(main, "stopped; the same command goes on.")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Annotated
@@ -22,7 +21,7 @@ from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.paper_lambda import RECORDS
 from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.reference import AIMS, EPISODES
-from xmarl_bench.cli.program import run as run_program
+from xmarl_bench.cli.program import run_function
 from xmarl_bench.cli.score_table import performance_rows
 from xmarl_bench.cli.tables import Row, markdown
 from xmarl_bench.papers.kailas2025.paper import MAIN as PAPER
@@ -268,4 +267,4 @@ def main(
 
 
 if __name__ == "__main__":
-    run_program("report", partial(typer.run, main), "stopped.")
+    run_function(main)

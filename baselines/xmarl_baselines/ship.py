@@ -8,7 +8,6 @@ the package does not hold yet. Every seed is shipped, the worst like the best.
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +17,7 @@ from safetensors.torch import load_file
 from xmarl_baselines.policies import HERE
 from xmarl_baselines.reference import EPISODES, reference_runs
 from xmarl_baselines.training.model_selection import weights_at
-from xmarl_bench.cli.program import run as run_program
+from xmarl_bench.cli.program import run_function
 from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
 from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.untrusted import CARD
@@ -71,4 +70,4 @@ def _ship_along_training(run: Path, policy: GraphPolicy, fields: dict[str, Any])
 
 
 if __name__ == "__main__":
-    run_program("ship", partial(typer.run, main), "stopped.")
+    run_function(main)

@@ -8,6 +8,8 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -45,6 +47,11 @@ def run(name: str, app: Callable[[], object], interrupted: str) -> None:
         _end(f"{name}: {_what_failed(error)}", 2)
     finally:
         end_workers()
+
+
+def run_function(function: Callable[..., object], interrupted: str = "stopped.") -> None:
+    """Run the function of a module started with `python -m`, whose arguments are its options: see `run`."""
+    run(Path(sys.argv[0]).stem, partial(typer.run, function), interrupted)
 
 
 def _check_arguments(arguments: list[str]) -> None:

@@ -6,11 +6,14 @@ import hashlib
 import random
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from xmarl_bench.errors import InputError
+
+if TYPE_CHECKING:
+    import torch
 
 # Environment seeds, in ranges that do not overlap, below 2**53, up to which readers of JSON in other
 # languages keep integers exact. Explainers are fitted on seeds of the training's range, from 2**30.
@@ -108,3 +111,11 @@ def seeded(seed: int) -> Iterator[None]:
         finally:
             np.random.set_state(numpy_state)  # noqa: NPY002
             random.setstate(python_state)
+
+
+def timestep_seeds(n_steps: int, generator: torch.Generator) -> list[int]:
+    """One seed per timestep: draws for a timestep depend on no other one."""
+    import torch
+
+    seeds: list[int] = torch.randint(2**62, (n_steps,), generator=generator).tolist()
+    return seeds

@@ -18,7 +18,6 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from torch import Tensor
 from torch.func import grad, vmap
 from torch.nn import functional as F
-from xmarl_baselines.explainers.batching import timestep_seeds
 from xmarl_baselines.explainers.gnn_explainer import gnn_explainer_mask, random_logits
 from xmarl_baselines.explainers.graphmask import graphmask_mask, uniform_noise
 
@@ -26,6 +25,7 @@ from tests.baselines.reference import shipped_name, trained
 from tests.benchmarks.conftest import Report
 from tests.benchmarks.side_by_side import clocked, side_by_side
 from xmarl_bench.policy import GraphPolicy, Prepared
+from xmarl_bench.reproducible import timestep_seeds
 
 pytestmark = pytest.mark.benchmark(timer=time.process_time)
 N_STEPS = 1024

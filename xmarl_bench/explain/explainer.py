@@ -25,7 +25,7 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.policy.black_box import BlackBox
 from xmarl_bench.policy.device import CPU, checked_device
 from xmarl_bench.policy.elsewhere import PolicyElsewhere
-from xmarl_bench.reproducible import derived_seed, one_thread, seeded
+from xmarl_bench.reproducible import derived_seed, one_thread, seeded, timestep_seeds
 
 Scalar = bool | int | float | str | None
 Access = Literal["black-box", "attention", "gradients"]
@@ -138,7 +138,7 @@ def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed
             returned = explain(*_given(explainer, policy, observations), generator)
             masks = as_edge_masks(name, returned, (n_steps, n_agents, n_agents), nodes)
             return masks.cpu() if isinstance(masks, Tensor) and explainer.device != CPU else masks
-        seeds = torch.randint(2**62, (n_steps,), generator=generator).tolist()
+        seeds = timestep_seeds(n_steps, generator)
         each_mask: list[Tensor] = []
         for x, each in zip(observations, seeds, strict=True):
             drawn = torch.Generator().manual_seed(each)

@@ -24,6 +24,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import effect_direction
 from xmarl_bench.explain.node_importance import mask_of_explanation
 from xmarl_bench.policy import Policy
+from xmarl_bench.reproducible import timestep_seeds
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class PygExplain:
 
     def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
         """(S, N, D) -> (S, N, N)."""
-        seeds = torch.randint(2**62, (len(observations),), generator=generator).tolist()
+        seeds = timestep_seeds(len(observations), generator)
         with class_settings_kept(), torch.random.fork_rng(devices=[]), torch.enable_grad():
             torch.manual_seed(seeds[0])
             if isinstance(self.algorithm(), PGExplainer):

@@ -29,9 +29,3 @@ def by_chunks(
     """(S, N, D) -> (S, N, N): calls `explain` for the masks of one slice of timesteps after another."""
     n_steps, n_agents, _ = observations.shape
     return torch.cat([explain(steps) for steps in chunks(n_steps, n_agents, steps_at_once=steps_at_once)])
-
-
-def timestep_seeds(n_steps: int, generator: torch.Generator) -> list[int]:
-    """One seed per timestep, the same as `xmarl_bench.PygExplain` draws from this generator."""
-    seeds: list[int] = torch.randint(2**62, (n_steps,), generator=generator).tolist()
-    return seeds

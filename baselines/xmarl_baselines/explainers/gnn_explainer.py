@@ -27,13 +27,14 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import Tensor
 
-from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
+from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_baselines.explainers.closed_form import actions_of
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
+from xmarl_bench.reproducible import timestep_seeds
 
 
 @dataclass(frozen=True)

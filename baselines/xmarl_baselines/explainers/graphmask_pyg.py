@@ -35,13 +35,14 @@ from torch.nn import functional as F
 from torch_geometric.explain import GraphMaskExplainer
 from torch_geometric.nn import MessagePassing
 
-from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
+from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy, Policy
+from xmarl_bench.reproducible import timestep_seeds
 
 BETA, GAMMA, ZETA, LOCATION = 1 / 3, -0.2, 1.2, 2  # hard concrete; fixed in PyG
 STEPS_AT_ONCE = 128  # a timestep has up to 17,000 parameters, of which Adam keeps three more copies

@@ -27,7 +27,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xmarl_baselines.explainers.batching import by_chunks, timestep_seeds
+from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_baselines.explainers.gradient import NORMALISER
 from xmarl_bench.explain.effect import action_change, signed_to_unit
@@ -36,6 +36,7 @@ from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.explain.oracle import change_table, why_not_enumerated
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
+from xmarl_bench.reproducible import timestep_seeds
 
 PAIRS = 16  # of an order and its reverse
 

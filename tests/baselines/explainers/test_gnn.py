@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 from torch_geometric.explain import GNNExplainer
-from xmarl_baselines.explainers.batching import timestep_seeds
 from xmarl_baselines.explainers.gnn_explainer import (
     SETTINGS,
     GNNExplainerSettings,
@@ -19,6 +18,7 @@ from tests.baselines.reference import TRAINED, by_pyg, trained
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.explainer import run_explainer
 from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.reproducible import timestep_seeds
 
 
 def pyg_masks(policy: GraphPolicy, observations: torch.Tensor, seed: int) -> torch.Tensor:

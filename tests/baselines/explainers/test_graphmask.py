@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 from torch_geometric.explain import GraphMaskExplainer
-from xmarl_baselines.explainers.batching import timestep_seeds
 from xmarl_baselines.explainers.frozen_policy import frozen
 from xmarl_baselines.explainers.graphmask import (
     BETA,
@@ -35,6 +34,7 @@ from tests.baselines.reference import TRAINED, by_pyg, trained
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.explain.explainer import run_explainer
 from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.reproducible import timestep_seeds
 
 DEFAULTS = GraphMaskPygSettings()
 # With the defaults nearly every mask is empty; with these settings training matters and masks differ.

@@ -35,17 +35,14 @@ def export(
     from xmarl_bench.dataset import planted_dataset, played_dataset, written
     from xmarl_bench.parallel.fan_out import in_order
     from xmarl_bench.parallel.workers import Workers
-    from xmarl_bench.planted.families import FAMILIES, SIZES
+    from xmarl_bench.planted.families import teams
     from xmarl_bench.records.files import check_writable
     from xmarl_bench.scoring.selection import select_policies
 
     check_writable(out)
     if suite == "planted":
         units = [
-            partial(planted_dataset, family, size, n_steps=episodes, seed=seed)
-            for family, rule in FAMILIES.items()
-            for size in SIZES
-            if size >= rule.min_agents
+            partial(planted_dataset, family, size, n_steps=episodes, seed=seed) for family, size in teams()
         ]
     else:
         units = [

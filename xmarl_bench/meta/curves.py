@@ -21,7 +21,7 @@ from xmarl_bench.meta.right_ranking import ranking_mask, shapley_values, true_ma
 from xmarl_bench.metrics import over_absences
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.table import UNDER_ABSENCES, Direction, Group, by_name, metrics_of
-from xmarl_bench.planted.families import FAMILIES, SIZES, planted
+from xmarl_bench.planted.families import SIZES, planted, teams
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
 from xmarl_bench.rollout.cell import spaced_timesteps
@@ -69,20 +69,17 @@ def is_higher_better(metric: str) -> bool:
 
 def planted_curves(*, sizes: Sequence[int] = SIZES, n_steps: int = 50, seed: int = 0) -> Iterator[Curve]:
     """Curves of every family and team size."""
-    for family, rule in FAMILIES.items():
-        for n_agents in sizes:
-            if n_agents < rule.min_agents:
-                continue
-            with one_thread():
-                truth = planted(family, n_agents, n_steps=n_steps, seed=seed)
-                rng = np.random.default_rng(derived_seed("meta", seed, family, n_agents))
-                states = States.of(truth.policy, truth.observations, rng, truth.reference)
-                mask = true_mask(truth)
-                for form in Form:
-                    rows = _steps(states, mask, form, rng)
-                    for metric in METRICS:
-                        values = tuple(row[metric] for row in rows)
-                        yield Curve(f"{family}, {n_agents}", form, None, metric, values)
+    for family, n_agents in teams(sizes):
+        with one_thread():
+            truth = planted(family, n_agents, n_steps=n_steps, seed=seed)
+            rng = np.random.default_rng(derived_seed("meta", seed, family, n_agents))
+            states = States.of(truth.policy, truth.observations, rng, truth.reference)
+            mask = true_mask(truth)
+            for form in Form:
+                rows = _steps(states, mask, form, rng)
+                for metric in METRICS:
+                    values = tuple(row[metric] for row in rows)
+                    yield Curve(f"{family}, {n_agents}", form, None, metric, values)
 
 
 def trained_curves(

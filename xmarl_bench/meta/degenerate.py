@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -84,19 +83,12 @@ def kinds_of(other: Policy) -> dict[str, Explain]:
     }
     return {
         RIGHT: shapley_mask,
-        **{name: partial(_changed, change=change) for name, change in changes.items()},
-        "another policy": partial(_of_another, other=other),
+        **{
+            name: lambda *asked, change=change: change(shapley_mask(*asked))
+            for name, change in changes.items()
+        },
+        "another policy": lambda _, observations, generator: shapley_mask(other, observations, generator),
     }
-
-
-def _changed(
-    policy: Policy, observations: Tensor, generator: torch.Generator, *, change: Callable[[Tensor], Tensor]
-) -> Tensor:
-    return change(shapley_mask(policy, observations, generator))
-
-
-def _of_another(policy: Policy, observations: Tensor, generator: torch.Generator, *, other: Policy) -> Tensor:
-    return shapley_mask(other, observations, generator)
 
 
 def _same_for_receivers(mask: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from xmarl_bench.metrics import other_senders
+from xmarl_bench.metrics import other_senders, rank_correlation
 
 # Standard deviation of the noise, in units of the distance from the first to the last of a row. With two
 # messages 0, 4, 12, 19, 26, 33, 39 and 45 % of the rows are exchanged.
@@ -69,9 +69,6 @@ def follows(values: Sequence[float], noise: Sequence[float], *, higher_is_better
 
     0 if the metric is constant. `noise` may hold a value several times, as over policies.
     """
-    from scipy.stats import rankdata
-
     better = np.asarray(values, dtype=np.float64) * (1.0 if higher_is_better else -1.0)
-    one, other = (rankdata(each) - (len(noise) + 1) / 2 for each in (better, -np.asarray(noise)))
-    scale = np.sqrt((one @ one) * (other @ other))
-    return float(one @ other / scale) if scale > 0 else 0.0
+    found = rank_correlation(better, -np.asarray(noise))
+    return 0.0 if np.isnan(found) else found

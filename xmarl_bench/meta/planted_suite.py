@@ -17,7 +17,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.metrics.table import ORDER, UNDER_ABSENCES
-from xmarl_bench.planted.families import CODES, FAMILIES, SIZES, Planted, planted
+from xmarl_bench.planted.families import CODES, SIZES, Planted, planted, teams
 from xmarl_bench.planted.truth import auroc, average_precision
 from xmarl_bench.reproducible import derived_seed, one_thread
 from xmarl_bench.scoring.states import States
@@ -49,11 +49,9 @@ def score_planted(
     scored = {each.name: each for each in (*(CONTROLS[name] for name in ALWAYS_SCORED), *explainers)}
     found = []
     with one_thread():
-        for family, rule in FAMILIES.items():
-            for n_agents in sizes:
-                if n_agents >= rule.min_agents:
-                    truth = planted(family, n_agents, n_steps=n_steps, seed=seed)
-                    found += _score(truth, n_agents, list(scored.values()), seed)
+        for family, n_agents in teams(sizes):
+            truth = planted(family, n_agents, n_steps=n_steps, seed=seed)
+            found += _score(truth, n_agents, list(scored.values()), seed)
     return found
 
 

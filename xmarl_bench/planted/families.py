@@ -16,7 +16,7 @@ S is the number of timesteps, N agents.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -36,6 +36,7 @@ OBS_DIM: Final = NAMED + CODES
 # Units of the layer: the content read, the roles speaker and decoy, the wall, and one for each code.
 READ, IS_SPEAKER, IS_DECOY, NEAR, MATCH = 0, 1, 2, 3, 4
 WIDTH: Final = MATCH + CODES
+HIDDEN: Final = 4  # units of the decoder
 LOGIT_GAP: Final = 20.0  # the other senders get e^-20 of the attention
 MATCH_GAP: Final = 0.8  # summed over codes, GATv2's leaky ReLU gives so much more for a match than for none
 Bools = NDArray[np.bool_]
@@ -54,11 +55,21 @@ class Planted:
 
 
 @dataclass(frozen=True)
+class Unit:
+    """A hidden unit of the decoder: location += out * relu(read * the content read + near * wall + bias)."""
+
+    out: float
+    read: float
+    near: float = 0.0
+    bias: float = 0.0
+
+
+@dataclass(frozen=True)
 class Rule:
     """How a family's states are drawn, and how its decoder uses the content read."""
 
     speakers: int  # number of speakers, the only agents that are read; 0: codes name the sender
-    decode: Callable[[Weights], None]
+    decoder: tuple[Unit, ...]  # at most HIDDEN
     same: bool = False  # all speakers send the same content
     bits: bool = False  # content is -1 or 1
     decoy: bool = False
@@ -66,64 +77,30 @@ class Rule:
     min_agents: int = 3  # smallest team with relevant and irrelevant senders
 
 
-class Weights:
-    """The decoder's two layers, of four hidden units. `add` sets one: loc += out * relu(read, near, bias)."""
-
-    HIDDEN = 4
-
-    def __init__(self) -> None:
-        self.into = torch.zeros(self.HIDDEN, WIDTH)
-        self.bias = torch.zeros(self.HIDDEN)
-        self.out = torch.zeros(4, self.HIDDEN)  # two locations, two scales
-        self._used = 0
-
-    def add(self, out: float, read: float, near: float = 0.0, bias: float = 0.0) -> None:
-        k, self._used = self._used, self._used + 1
-        self.into[k, READ], self.into[k, NEAR], self.bias[k] = read, near, bias
-        self.out[:2, k] = out
-
-
-def _proportional(w: Weights) -> None:
-    """loc = 2 read."""
-    w.add(2.0, 1.0)
-    w.add(-2.0, -1.0)
-
-
-def _amplified(w: Weights) -> None:
-    """loc = 8 read: a quarter of the attention suffices."""
-    w.add(8.0, 1.0)
-    w.add(-8.0, -1.0)
-
-
-def _saturated(w: Weights) -> None:
-    """loc = 2 clip(read / 0.4, -1, 1): half of the content has the same effect as all of it."""
-    for sign in (1.0, -1.0):
-        w.add(sign * 5.0, sign)
-        w.add(-sign * 5.0, sign, bias=-0.4)
-
-
-def _disagreement(w: Weights) -> None:
-    """loc = 2 (1 - |read|), where read is -1 or 1 if both agree, and 0 if they do not."""
-    w.add(2.0, 0.0, bias=1.0)
-    w.add(-2.0, 1.0)
-    w.add(-2.0, -1.0)
-
-
-def _gated(w: Weights) -> None:
-    """loc = 2 read near a wall, 0 elsewhere: |read| <= 1."""
-    w.add(2.0, 1.0, near=2.0, bias=-2.0)
-    w.add(-2.0, -1.0, near=2.0, bias=-2.0)
-    # Without content both units are 0 near a wall too: relu(2 near - 2) = 0.
-
+# loc = 2 read
+PROPORTIONAL: Final = (Unit(2.0, 1.0), Unit(-2.0, -1.0))
+# loc = 8 read: a quarter of the attention suffices.
+AMPLIFIED: Final = (Unit(8.0, 1.0), Unit(-8.0, -1.0))
+# loc = 2 clip(read / 0.4, -1, 1): half of the content has the same effect as all of it.
+SATURATED: Final = (Unit(5.0, 1.0), Unit(-5.0, 1.0, bias=-0.4), Unit(-5.0, -1.0), Unit(5.0, -1.0, bias=-0.4))
+# loc = 2 (1 - |read|), where read is -1 or 1 if both agree, and 0 if they do not.
+DISAGREEMENT: Final = (Unit(2.0, 0.0, bias=1.0), Unit(-2.0, 1.0), Unit(-2.0, -1.0))
+# loc = 2 read near a wall, where |read| <= 1, and 0 elsewhere. Without content both units are 0 there too.
+GATED: Final = (Unit(2.0, 1.0, near=2.0, bias=-2.0), Unit(-2.0, -1.0, near=2.0, bias=-2.0))
 
 FAMILIES: Final[dict[str, Rule]] = {
-    "one-sender": Rule(0, _proportional),
-    "by-content": Rule(1, _proportional),
-    "redundant-pair": Rule(2, _saturated, same=True, bits=True, min_agents=4),
-    "exclusive-or": Rule(2, _disagreement, bits=True, min_agents=4),
-    "decoy": Rule(1, _amplified, decoy=True),
-    "near-wall": Rule(1, _gated, wall=True),
+    "one-sender": Rule(0, PROPORTIONAL),
+    "by-content": Rule(1, PROPORTIONAL),
+    "redundant-pair": Rule(2, SATURATED, same=True, bits=True, min_agents=4),
+    "exclusive-or": Rule(2, DISAGREEMENT, bits=True, min_agents=4),
+    "decoy": Rule(1, AMPLIFIED, decoy=True),
+    "near-wall": Rule(1, GATED, wall=True),
 }
+
+
+def teams(sizes: Sequence[int] = SIZES) -> list[tuple[str, int]]:
+    """Each family with each of the team sizes that it takes."""
+    return [(name, size) for name, rule in FAMILIES.items() for size in sizes if size >= rule.min_agents]
 
 
 def planted(family: str, n_agents: int, *, n_steps: int = 100, seed: int = 0) -> Planted:
@@ -176,12 +153,10 @@ def _states(rule: Rule, n_agents: int, n_steps: int, rng: np.random.Generator) -
 def _policy(rule: Rule) -> GraphPolicy:
     architecture = Architecture(
         obs_dim=OBS_DIM, encoder=(), encoder_activation="identity", gat_width=WIDTH,
-        gat_activation="identity", residual=True, decoder=(Weights.HIDDEN,), decoder_activation="relu",
+        gat_activation="identity", residual=True, decoder=(HIDDEN,), decoder_activation="relu",
     )  # fmt: skip
     policy = build_policy(architecture)
     assert isinstance(policy, GraphPolicy)
-    weights = Weights()
-    rule.decode(weights)
     gat, first, last = policy.gat, policy.decoder[0], policy.decoder[-1]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)
@@ -198,7 +173,7 @@ def _policy(rule: Rule) -> GraphPolicy:
                 gat.lin_r.bias[MATCH + k] = -1.0
                 logit[MATCH + k] = LOGIT_GAP / MATCH_GAP
         gat.res.weight[NEAR, WALL] = 1.0
-        first.weight.copy_(weights.into)
-        first.bias.copy_(weights.bias)
-        last.weight.copy_(weights.out)
+        for k, unit in enumerate(rule.decoder):
+            first.weight[k, READ], first.weight[k, NEAR], first.bias[k] = unit.read, unit.near, unit.bias
+            last.weight[:2, k] = unit.out  # of two locations and two scales
     return policy

@@ -18,17 +18,17 @@ from xmarl_bench.parallel.calls import Failure, attempt
 from xmarl_bench.parallel.fan_out import fan_out
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.plugins.names import is_shipped
+from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import Failed, score_requests
 from xmarl_bench.submission.checking import Checked
-from xmarl_bench.submission.rerun import compared, requests_of
+from xmarl_bench.submission.rerun import compared, other_explainer, requests_of
 from xmarl_bench.submission.tolerance import is_same_platform
 from xmarl_bench.submission.verification import (
     Options,
     Tier,
     Verdict,
     other_weights,
-    our_explainer,
     policy_of,
     verdict_of,
     verify,
@@ -84,8 +84,8 @@ def _of_one_policy(units: dict[int, Unit], workers: Workers) -> Iterator[Outcome
     explainers: dict[str, Explainer] = {}
     requests: dict[int, list[Request]] = {}
     for k, unit in units.items():
-        explainer, findings = our_explainer(unit.entry)
-        findings += other_weights(unit.entry, card)
+        explainer = find_explainer(unit.entry.explainer.name)
+        findings = other_explainer(unit.entry, explainer) + other_weights(unit.entry, card)
         if findings:
             bitwise = is_same_platform(unit.entry)
             yield k, Verdict(unit.entry, Tier.full, bitwise, 0, None, tuple(findings))

@@ -22,7 +22,9 @@ from xmarl_bench.metrics.table import OPTIONAL, OTHER_ABSENCES, UNDER_ABSENCES
 from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import episode_seeds
 from xmarl_bench.submission.control_consistency import control_findings
+from xmarl_bench.submission.recompute import Difference
 from xmarl_bench.submission.rounding import ALIKE, CLOSE, close
+from xmarl_bench.submission.tolerance import agrees
 
 TOLD = ("success_rate", "success_gain", "no_agent_collision")  # our tasks tell these
 BEHAVIOURAL = ("behavioural_fidelity", "success_on_explanation", "success_on_complement")
@@ -99,8 +101,7 @@ def _cell_findings(entry: Entry, cell: CellResult) -> Iterator[str]:
 def _oracle_findings(cell: CellResult) -> Iterator[str]:
     """What an entry says of a sampled oracle must follow from its rows."""
     found, stated = sampling_error(cell.episodes), None if cell.oracle is None else cell.oracle.error
-    same = found is stated or (found is not None and stated is not None and close(found, stated))
-    if not same:
+    if not agrees(Difference("oracle.error", stated, found), CLOSE):
         yield f"oracle.error is {stated}, by the budgets of the rows it is {found}."
     sampled = cell.oracle_kind == "sampled"
     if sampled and cell.oracle is not None and cell.oracle.definition != SAMPLED:

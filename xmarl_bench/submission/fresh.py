@@ -7,51 +7,33 @@ Behaviour is not rolled out again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 from xmarl_bench.entry.fresh import differences
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.entry.provenance import now
-from xmarl_bench.entry.schema import Entry, FreshDifference, FreshSeeds
+from xmarl_bench.entry.schema import Entry, FreshSeeds
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.reproducible import fresh_seeds
-from xmarl_bench.rollout.cell import Cell, Sampling
-from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
+from xmarl_bench.submission.rerun import requests_of
 
 
-@dataclass(frozen=True)
-class Fresh:
-    """Differences of public and fresh scores, cell by cell."""
-
-    value: str  # source of the seeds
-    episodes: int  # of each cell
-    cells: tuple[dict[str, FreshDifference], ...]
-
-    def record(self) -> dict[str, object]:
-        """The comparison for JSON."""
-        cells = [{name: each.model_dump() for name, each in cell.items()} for cell in self.cells]
-        return {"value": self.value, "episodes": self.episodes, "cells": cells}
-
-    def block(self, by: str) -> FreshSeeds:
-        """The block of the entry, signed by `by`."""
-        return FreshSeeds(value=self.value, by=by, when=now(), episodes=self.episodes, cells=self.cells)
-
-
-def score_fresh(entry: Entry, policy: Policy, card: PolicyCard, explainer: Explainer, value: str) -> Fresh:
+def score_fresh(
+    entry: Entry, policy: Policy, card: PolicyCard, explainer: Explainer, value: str
+) -> FreshSeeds:
     """Score as many fresh episodes of each cell as the entry has public ones, at as many timesteps.
 
-    Raises InputError if the value is not a valid source of seeds, or if the explainer fails.
+    The result is not signed: `by` is empty. Raises InputError if the value is not a valid source of seeds, or
+    if the explainer fails.
     """
-    protocol, cells = entry.protocol, []
-    seeds = tuple(fresh_seeds(PROTOCOL, value, protocol.episodes))
-    for cell in entry.results:
-        sampling = Sampling(
-            protocol.episodes, protocol.timesteps, cell.max_cycles, entry.explainer.seed, seeds
-        )
-        request = Request(policy, card, explainer, (Cell(cell.task, cell.n_agents),), sampling, 0)
-        (again,) = entries_of(score_requests([request]))
-        (found,) = again.results
-        cells.append(differences(cell, found))
-    return Fresh(value, protocol.episodes, tuple(cells))
+    episodes = entry.protocol.episodes
+    seeds = tuple(fresh_seeds(PROTOCOL, value, episodes))
+    requests = [
+        replace(each, sampling=replace(each.sampling, given=seeds), behaviour_episodes=0)
+        for each in requests_of(entry, policy, card, explainer)
+    ]
+    scored = zip(entry.results, entries_of(score_requests(requests)), strict=True)
+    cells = tuple(differences(cell, again.results[0]) for cell, again in scored)
+    return FreshSeeds(value=value, by="", when=now(), episodes=episodes, cells=cells)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from collections.abc import Container, Iterator
+from itertools import zip_longest
+from typing import Any, NamedTuple
 
 from xmarl_bench.entry.aggregation import metrics_of_cell
-from xmarl_bench.entry.metric_records import Metrics, Summary
+from xmarl_bench.entry.record import Record
 from xmarl_bench.entry.schema import Entry
-from xmarl_bench.submission.rounding import close
 
 
 class Difference(NamedTuple):
@@ -25,36 +25,28 @@ class Difference(NamedTuple):
             return 0.0 if self.entry is self.found else float("inf")
         return abs(self.entry - self.found)
 
+    def sentence(self, source: str) -> str:
+        """That the numbers differ. source: of the second, such as "rows give"."""
+        return f"{self.where} is {self.entry}, but the {source} {self.found}."
+
 
 def recomputed(entry: Entry) -> Iterator[Difference]:
     """Every aggregate of the entry with its value recomputed from the rows."""
     for k, cell in enumerate(entry.results):
-        metrics = metrics_of_cell(cell, entry.explainer.seed)
-        for name in Metrics.model_fields:
-            yield from summaries(
-                f"results.{k}.metrics.{name}", getattr(cell.metrics, name), getattr(metrics, name)
-            )
+        found = metrics_of_cell(cell, entry.explainer.seed)
+        yield from differences(f"results.{k}.metrics", cell.metrics, found)
 
 
-def recompute_findings(differences: Iterable[Difference]) -> Iterator[str]:
-    """A sentence for each of the `recomputed` aggregates that differs by more than rounding."""
-    for where, stated, found in differences:
-        same = stated is found or (stated is not None and found is not None and close(stated, found))
-        if not same:
-            yield f"{where} is {stated}, but the rows give {found}."
-
-
-def summaries(where: str, entry: Summary | None, found: Summary | None) -> Iterator[Difference]:
-    """The numbers of two summaries in pairs. They hold no NaN; null equals only null."""
-    for part in ("value", "n", "n_nan"):
-        yield Difference(f"{where}.{part}", _part(entry, part), _part(found, part))
-    for part, end in (("low", 0), ("high", 1)):
-        ends = [
-            None if each is None or each.interval is None else each.interval[end] for each in (entry, found)
-        ]
-        yield Difference(f"{where}.{part}", *ends)
-
-
-def _part(summary: Summary | None, part: str) -> float | None:
-    value: float | None = None if summary is None else getattr(summary, part)
-    return value
+def differences(where: str, entry: Any, found: Any, skipped: Container[str] = ()) -> Iterator[Difference]:
+    """The numbers of two records of one class in pairs, at any depth, without the fields to skip."""
+    either = found if entry is None else entry
+    if isinstance(either, Record):
+        for name in type(either).model_fields:
+            if name not in skipped:
+                one, other = (getattr(each, name, None) for each in (entry, found))
+                yield from differences(f"{where}.{name}", one, other, skipped)
+    elif isinstance(either, tuple):
+        for k, pair in enumerate(zip_longest(entry or (), found or ())):
+            yield Difference(f"{where}.{k}", *pair)
+    else:
+        yield Difference(where, entry, found)

@@ -7,15 +7,13 @@ control. Metrics that are newer than the entry are not compared.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from itertools import zip_longest
 
 import numpy as np
 
 from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER
-from xmarl_bench.entry.metric_records import BudgetRow, EpisodeRow
 from xmarl_bench.entry.protocol import SANITY_EPISODES
 from xmarl_bench.entry.schema import CellResult, Entry, ExplainerRecord
 from xmarl_bench.explain.controls import controls_of
@@ -27,11 +25,12 @@ from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
 from xmarl_bench.rollout.reference_states import fit_states
 from xmarl_bench.scoring.cell_result import NOT_PLAYED, episode_row
+from xmarl_bench.scoring.entry_records import explainer_record
 from xmarl_bench.scoring.measure import Explained, Unit
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import entries_of, score_requests
 from xmarl_bench.submission.consistency import lacks
-from xmarl_bench.submission.recompute import Difference, summaries
+from xmarl_bench.submission.recompute import Difference, differences
 
 # Fields of an explainer's record that may differ: they tell where it was found, not what it is.
 WHERE = ("seed", "code", "paper", "distribution", "version", "entry_point", "code_sha256", "isolated")
@@ -91,13 +90,17 @@ def compared(entry: Entry, again: Sequence[Entry]) -> Rerun:
     return result
 
 
-def record_findings(entry: ExplainerRecord, found: ExplainerRecord) -> Iterator[str]:
-    """Findings if the explainer to run is not the one of the entry."""
-    for name in ExplainerRecord.model_fields:
-        if name not in WHERE and getattr(entry, name) != getattr(found, name):
-            yield f"explainer.{name} is {getattr(entry, name)!r}, but {getattr(found, name)!r} here."
-    if entry.code_sha256 is not None and entry.code_sha256 != found.code_sha256:
-        yield "explainer.code_sha256 disagrees with the file run here."
+def other_explainer(entry: Entry, explainer: Explainer) -> list[str]:
+    """Findings if the explainer to run is not the entry's."""
+    there, here = entry.explainer, explainer_record(explainer, 0)
+    findings = [
+        f"explainer.{name} is {getattr(there, name)!r}, but {getattr(here, name)!r} here."
+        for name in ExplainerRecord.model_fields
+        if name not in WHERE and getattr(there, name) != getattr(here, name)
+    ]
+    if there.code_sha256 not in (None, here.code_sha256):
+        findings.append("explainer.code_sha256 disagrees with the file run here.")
+    return findings
 
 
 def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen: Sequence[int]) -> None:
@@ -124,7 +127,7 @@ def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen:
         assert measured.shared is not None
         row = episode_row(request.cells[0], episode, mute, measured.shared, explained, NOT_PLAYED)
         skipped = {*BEHAVIOUR, *BEHAVIOUR_UNDER, *_newer(cell)}
-        result.episodes.append(list(_rows(f"{where}.episodes.{k}", cell.episodes[k], row, skipped)))
+        result.episodes.append(list(differences(f"{where}.episodes.{k}", cell.episodes[k], row, skipped)))
 
 
 def _newer(cell: CellResult) -> set[str]:
@@ -133,40 +136,13 @@ def _newer(cell: CellResult) -> set[str]:
 
 
 def _compare(result: Rerun, where: str, cell: CellResult, again: CellResult) -> None:
-    pairs, newer = enumerate(zip(cell.episodes, again.episodes, strict=True)), _newer(cell)
-    result.episodes += [list(_rows(f"{where}.episodes.{k}", row, other, newer)) for k, (row, other) in pairs]
+    newer = _newer(cell)
+    for k, (row, other) in enumerate(zip(cell.episodes, again.episodes, strict=True)):
+        result.episodes.append(list(differences(f"{where}.episodes.{k}", row, other, newer)))
     measured = cell.not_measured.keys() == again.not_measured.keys() - newer
     if not measured or cell.controls.keys() != again.controls.keys():
         result.findings.append(f"{where}: the rerun measures other metrics or controls than the entry.")
         return
-    for name in type(cell.metrics).model_fields:
-        if name in newer:
-            continue
-        result.aggregates += summaries(
-            f"{where}.metrics.{name}", getattr(cell.metrics, name), getattr(again.metrics, name)
-        )
-    for control, metrics in cell.controls.items():
-        for name in type(metrics).model_fields:
-            if name in newer:
-                continue
-            result.aggregates += summaries(
-                f"{where}.controls.{control}.{name}",
-                getattr(metrics, name),
-                getattr(again.controls[control], name),
-            )
-
-
-def _rows(where: str, entry: EpisodeRow, found: EpisodeRow, skipped: Set[str]) -> Iterator[Difference]:
-    """Every number of two rows in pairs, except the skipped metrics."""
-    for name in EpisodeRow.model_fields:
-        if name.endswith("budget"):
-            yield from _budgets(f"{where}.{name}", getattr(entry, name), getattr(found, name))
-        elif name not in skipped:
-            yield Difference(f"{where}.{name}", getattr(entry, name), getattr(found, name))
-
-
-def _budgets(where: str, entry: BudgetRow | None, found: BudgetRow | None) -> Iterator[Difference]:
-    for name in BudgetRow.model_fields:
-        curves = [None if each is None else getattr(each, name) for each in (entry, found)]
-        for k, values in enumerate(zip_longest(*(curve or () for curve in curves))):
-            yield Difference(f"{where}.{name}.{k}", *values)
+    result.aggregates += differences(f"{where}.metrics", cell.metrics, again.metrics, newer)
+    for name, control in cell.controls.items():
+        result.aggregates += differences(f"{where}.controls.{name}", control, again.controls[name], newer)

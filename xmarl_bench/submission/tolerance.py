@@ -8,7 +8,6 @@ between instruction sets.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 from xmarl_bench.entry.provenance import provenance
@@ -21,31 +20,14 @@ AGGREGATES: Final = 2e-2  # the oracle's ranking has many ties, which rounding m
 BRANCHED: Final = 0.1  # share of the episodes played again that may branch
 
 
-@dataclass(frozen=True)
-class Platform:
-    """The versions and hardware on which rounding depends."""
-
-    packages: dict[str, str]
-    python: str
-    machine: str
-    cpu: str
-    cpu_capability: str
-    device: str | None  # None: the CPU
-
-    @classmethod
-    def here(cls) -> Platform:
-        here = provenance("", 1)
-        return cls(here.packages, here.python, here.machine, here.cpu, here.cpu_capability, None)
-
-    @classmethod
-    def of(cls, entry: Entry) -> Platform:
-        there = entry.provenance
-        return cls(there.packages, there.python, there.machine, there.cpu, there.cpu_capability, there.device)
+# Fields of the provenance on which rounding depends. device None: the CPU.
+PLATFORM: Final = ("packages", "python", "machine", "cpu", "cpu_capability", "device")
 
 
 def is_same_platform(entry: Entry) -> bool:
     """Whether the entry was made on the same platform as this one, by its provenance."""
-    return Platform.of(entry) == Platform.here()
+    here = provenance("", 1)
+    return all(getattr(entry.provenance, name) == getattr(here, name) for name in PLATFORM)
 
 
 def agrees(difference: Difference, tolerance: float | None) -> bool:

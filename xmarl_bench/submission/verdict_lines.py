@@ -7,11 +7,10 @@ from pathlib import Path
 
 from xmarl_bench.counted import counted
 from xmarl_bench.entry.fresh import headline, worse_on_fresh
-from xmarl_bench.entry.schema import Entry
+from xmarl_bench.entry.schema import Entry, FreshSeeds
 from xmarl_bench.isolation.walls import Wall
 from xmarl_bench.metrics.table import by_name
 from xmarl_bench.records.strict_json import printable
-from xmarl_bench.submission.fresh import Fresh
 from xmarl_bench.submission.verification import STATUS, Tier, Verdict
 
 WALLS: dict[Wall, str] = {
@@ -40,7 +39,7 @@ def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
         )
 
 
-def _fresh_lines(entry: Entry, fresh: Fresh) -> Iterator[str]:
+def _fresh_lines(entry: Entry, fresh: FreshSeeds) -> Iterator[str]:
     """For each cell the metric that decides, and whether the explainer does worse."""
     for cell, compared in zip(entry.results, fresh.cells, strict=True):
         episodes = counted(fresh.episodes, "fresh episode")

@@ -14,26 +14,24 @@ import numpy as np
 from xmarl_bench.counted import counted
 from xmarl_bench.entry.file import read_entry
 from xmarl_bench.entry.protocol import PROTOCOL
-from xmarl_bench.entry.provenance import commit_of_harness, now
-from xmarl_bench.entry.schema import Entry, Verification
+from xmarl_bench.entry.provenance import provenance
+from xmarl_bench.entry.schema import Entry, FreshSeeds, Verification
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.isolation.walls import SIGNED, Wall, strongest
-from xmarl_bench.origin.installed import harness_version
 from xmarl_bench.plugins.names import find_policy, is_shipped
 from xmarl_bench.plugins.registry import ask_explainer, find_explainer
 from xmarl_bench.policy import Policy, PolicyCard, load_policy
 from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import fresh_seeds
-from xmarl_bench.scoring.entry_records import explainer_record
 from xmarl_bench.submission.checking import MAX_FINDINGS, Checked
-from xmarl_bench.submission.fresh import Fresh, score_fresh
+from xmarl_bench.submission.fresh import score_fresh
 from xmarl_bench.submission.recompute import Difference
-from xmarl_bench.submission.rerun import Rerun, record_findings, rerun
+from xmarl_bench.submission.rerun import Rerun, other_explainer, rerun
 from xmarl_bench.submission.rounding import CLOSE
-from xmarl_bench.submission.tolerance import AGGREGATES, Platform, agrees, disagreeing, is_same_platform
+from xmarl_bench.submission.tolerance import AGGREGATES, agrees, disagreeing, is_same_platform
 
 
 class Tier(StrEnum):
@@ -87,7 +85,7 @@ class Verdict:
     episodes: int  # played again
     max_abs_diff: float | None  # of all numbers compared; None if only one of two numbers is null
     findings: tuple[str, ...]
-    fresh: Fresh | None = None  # of fresh alone
+    fresh: FreshSeeds | None = None  # of fresh alone; not yet signed
     wall: Wall | None = None  # what third-party code ran behind; None: none ran
 
     def record(self, path: str, file: str) -> dict[str, object]:
@@ -103,7 +101,7 @@ class Verdict:
             "max_abs_diff": self.max_abs_diff,
             "wall": self.wall,
             "findings": list(self.findings),
-            "fresh": None if self.fresh is None else self.fresh.record(),
+            "fresh": None if self.fresh is None else self.fresh.model_dump(exclude={"by", "when"}),
         }
 
     def block(self, by: str, before: Verification | None = None) -> Verification:
@@ -121,25 +119,24 @@ class Verdict:
                 f"third-party code ran behind no wall here and could have changed what was measured: install "
                 f"bubblewrap, or verify where the kernel has Landlock, to sign {self.entry.file_name}."
             )
-        before, here = before or self.entry.verification, Platform.here()
-        commit, dirty = commit_of_harness()
-        fresh = before.fresh if self.fresh is None else self.fresh.block(by)
+        before, here = before or self.entry.verification, provenance("", 1)
+        fresh = self.fresh and self.fresh.model_copy(update={"by": by, "when": here.finished})
         if self.fresh is not None and before.status != "unverified":
             return before.model_copy(update={"fresh": fresh, "wall": self.wall or before.wall})
         return Verification.model_validate(
             {
                 "status": STATUS[self.tier],
                 "by": by,
-                "when": now(),
-                "harness_version": harness_version(),
-                "commit": commit,
-                "dirty": dirty,
+                "when": here.finished,
+                "harness_version": here.harness_version,
+                "commit": here.commit,
+                "dirty": here.dirty,
                 "packages": here.packages,
                 "machine": f"{here.machine}, {here.cpu}, {here.cpu_capability}",
                 "episodes": self.episodes,
                 "bitwise": self.bitwise,
                 "max_abs_diff": self.max_abs_diff,
-                "fresh": fresh,
+                "fresh": fresh or before.fresh,
                 "wall": self.wall,
             }
         )
@@ -150,11 +147,9 @@ def signed(verdict: Verdict, by: str, folder: Path) -> Entry:
 
     Raises as `Verdict.block`.
     """
-    entry, before = verdict.entry, None
-    if (folder / entry.file_name).is_file():
-        there = read_entry(folder / entry.file_name)
-        before = there.verification if there.entry_id == entry.entry_id else None
-    return entry.model_copy(update={"verification": verdict.block(by, before)})
+    there = _same_entry(verdict.entry, folder)
+    block = verdict.block(by, None if there is None else there.verification)
+    return verdict.entry.model_copy(update={"verification": block})
 
 
 def verify(checked: Checked, file: str, options: Options) -> Verdict:
@@ -175,8 +170,8 @@ def verify(checked: Checked, file: str, options: Options) -> Verdict:
     rng = np.random.default_rng(options.seed)
     policy, card = policy_of(checked, entry)
     try:
-        explainer, findings, wall = _explainer(entry, options)
-        findings += other_weights(entry, card)
+        explainer, wall = _explainer(entry, options)
+        findings = other_explainer(entry, explainer) + other_weights(entry, card)
         if findings:
             return Verdict(entry, options.tier, bitwise, 0, None, tuple(findings), wall=wall)
         if options.fresh_from is not None:
@@ -201,19 +196,24 @@ def verdict_of(entry: Entry, tier: Tier, again: Rerun) -> Verdict:
 
 def is_signed(entry: Entry, by: str, folder: Path, options: Options) -> bool:
     """Whether the folder holds the entry with a block of this tier that `by` signed."""
-    if not (folder / entry.file_name).is_file():
+    there = _same_entry(entry, folder)
+    if there is None:
         return False
-    there = read_entry(folder / entry.file_name)
     block, fresh = there.verification, there.verification.fresh
-    if there.entry_id != entry.entry_id:
-        return False
     if options.tier is Tier.fresh:
         return fresh is not None and (fresh.by, fresh.value) == (by, options.fresh_from)
     return (block.by, block.status) == (by, STATUS[options.tier])
 
 
+def _same_entry(entry: Entry, folder: Path) -> Entry | None:
+    """The entry as it is in the folder; None if that does not hold it."""
+    path = folder / entry.file_name
+    there = read_entry(path) if path.is_file() else None
+    return None if there is None or there.entry_id != entry.entry_id else there
+
+
 def _sentences(apart: list[Difference], source: str) -> tuple[str, ...]:
-    found = [f"{each.where} is {each.entry}, but the {source} {each.found}." for each in apart[:MAX_FINDINGS]]
+    found = [each.sentence(source) for each in apart[:MAX_FINDINGS]]
     if len(apart) > MAX_FINDINGS:
         found.append(f"and {counted(len(apart) - MAX_FINDINGS, 'more difference')}.")
     return tuple(found)
@@ -237,22 +237,15 @@ def other_weights(entry: Entry, card: PolicyCard) -> list[str]:
     return [f"the installed policy {entry.policy.name!r} has other weights than the entry's."]
 
 
-def _explainer(entry: Entry, options: Options) -> tuple[Explainer, list[str], Wall | None]:
-    """The explainer to run, where it disagrees with the entry, and its wall; None if it is shipped."""
+def _explainer(entry: Entry, options: Options) -> tuple[Explainer, Wall | None]:
+    """The explainer to run, and its wall; None if it is shipped."""
     name = entry.explainer.name if options.explainer is None else options.explainer
     if options.explainer is None and is_shipped(name):
-        return *our_explainer(entry), None
+        return find_explainer(name), None
     if not options.trust_code:
         raise InputError(
             f"explainer {shown(name)} is third-party code: read it, then add --trust-code to run it in a "
             f"sandbox."
         )
     wall = options.wall or strongest()
-    found = ask_explainer(name, Isolation(options.limits, wall))
-    return found, list(record_findings(entry.explainer, explainer_record(found, 0))), wall
-
-
-def our_explainer(entry: Entry) -> tuple[Explainer, list[str]]:
-    """The shipped explainer of the entry's name, and where it disagrees with the entry."""
-    ours = find_explainer(entry.explainer.name)
-    return ours, list(record_findings(entry.explainer, explainer_record(ours, 0)))
+    return ask_explainer(name, Isolation(options.limits, wall)), wall

@@ -15,7 +15,7 @@ from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.device import checked_device
 from xmarl_bench.scoring.score import score
-from xmarl_bench.submission.tolerance import Platform, is_same_platform
+from xmarl_bench.submission.tolerance import is_same_platform
 
 ITERATE = (
     "gnn_explainer",
@@ -92,4 +92,4 @@ def test_an_entry_says_the_device_and_keeps_the_id_of_the_cpu(make_bundle: MakeB
     assert here.entry_id == there.entry_id
     assert is_same_platform(here)
     assert not is_same_platform(there)  # compared within the tolerance
-    assert Platform.of(there).device == "cpu:0"
+    assert there.provenance.device == "cpu:0"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from xmarl_bench.papers.kailas2025.claims import Cell, Term
-from xmarl_bench.papers.kailas2025.samples import KEPT, Floats, Place, Run, Samples, Scored
+from xmarl_bench.papers.kailas2025.samples import KEPT, Floats, Place, Run, Samples
 
 SEEDS = (0, 1, 2)
 Level = Callable[[Cell, str, bool, str], float]  # cell, explainer, regularised, metric -> mean
@@ -28,7 +28,6 @@ def made_samples(
                     values: dict[str, Floats] = {
                         metric: level(cell, name, regularised, metric) + shared + own for metric in KEPT
                     }
-                    scored = Scored(f"{cell.label} {regularised} {seed}", values)
                     known = samples.scored.setdefault((Place.of(cell, Term(name)), name), {})
-                    known[Run("a", 0.1 * regularised, seed)] = scored
+                    known[Run("a", 0.1 * regularised, seed)] = values
     return samples

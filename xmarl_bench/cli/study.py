@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -27,15 +26,9 @@ from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
 
 
-class Name(StrEnum):
-    main = "main"
-    training = "training"
-    zero_shot = "zero-shot"
-
-
 def study(
     name: Annotated[
-        Name,
+        Literal["main", "training", "zero-shot"],
         typer.Argument(
             help="main: three tasks, three team sizes; training: checkpoints; zero-shot: larger teams."
         ),
@@ -83,7 +76,7 @@ def study(
     from xmarl_bench.counted import counted
     from xmarl_bench.papers.kailas2025.figures import check_matplotlib
     from xmarl_bench.papers.kailas2025.output import write_study
-    from xmarl_bench.papers.kailas2025.plan import QUICK, STUDIES, plan, select_study_explainers
+    from xmarl_bench.papers.kailas2025.plan import EXPLAINERS, QUICK, STUDIES, plan
     from xmarl_bench.papers.kailas2025.results import StudyData
     from xmarl_bench.papers.kailas2025.samples import Samples
     from xmarl_bench.parallel.workers import Workers
@@ -91,17 +84,18 @@ def study(
     from xmarl_bench.rollout.cell import Sampling
     from xmarl_bench.scoring.cache import Cache, Memory
     from xmarl_bench.scoring.score import Failed, score_requests
+    from xmarl_bench.scoring.selection import select_explainers
 
     workers = Workers(jobs, backend, address)
-    chosen = STUDIES[name.value]
-    folder = out or Path("study") / (f"{name.value}-quick" if quick else name.value)
+    chosen = STUDIES[name]
+    folder = out or Path("study") / (f"{name}-quick" if quick else name)
     if figures:
         check_matplotlib()
     if quick:
         episodes, timesteps = QUICK.episodes, QUICK.timesteps
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
     limits = replace(UNLIMITED, answer_seconds=answer_seconds) if isolate else None
-    explainers, not_loaded = select_study_explainers(explainer, limits)
+    explainers, not_loaded = select_explainers([*EXPLAINERS, *explainer], limits)
     requests = plan(chosen, policy, explainers, sampling, behaviour)
     Samples.check(request.card for request in requests)
     with locked(folder):

@@ -220,7 +220,7 @@ def test_exchanging_the_sides_reverses_the_verdict(shift: float, seed: int) -> N
 
 
 def scored(name: str, *values: float) -> Scored:
-    return Scored(name, {"fid_delta": np.array(values)})
+    return {"fid_delta": np.array(values)}
 
 
 def test_regularised_runs_are_paired_with_unregularised_ones() -> None:

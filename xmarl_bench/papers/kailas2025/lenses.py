@@ -22,16 +22,8 @@ from xmarl_bench.papers.kailas2025.claims import (
     Term,
 )
 
-
-def metrics_of(claim: Claim) -> list[str]:
-    return [contrast.metric for contrast in claim.contrasts]
-
-
-SHARES = (
-    "budgeted_fidelity",
-    "comm_budgeted_fidelity",
-    "behavioural_fidelity",
-)  # scaled to about 1, not in action units
+# Scaled to about 1, not in action units.
+SHARES = ("budgeted_fidelity", "comm_budgeted_fidelity", "behavioural_fidelity")
 
 
 @dataclass(frozen=True)
@@ -49,7 +41,7 @@ class Lens:
         }
         if seen == claim:
             return None
-        if self.metrics and metrics_of(seen) == metrics_of(claim):
+        if self.metrics and [x.metric for x in seen.contrasts] == [x.metric for x in claim.contrasts]:
             return None
         if len(self.explainers) > 1 and not self.metrics and len(names & set(self.explainers)) < 2:
             return None
@@ -73,7 +65,6 @@ class Lens:
         return replace(term, explainer=self.explainers.get(term.explainer, term.explainer))
 
 
-BUDGETED = {"fid_delta": "budgeted_fidelity"}
 COMMUNICATION = {name: f"comm_{name}" for name in ("fid_delta", "fid_plus", "fid_minus", "gef")}
 COMMUNICATION_BUDGETED = {"fid_delta": "comm_budgeted_fidelity"}
 
@@ -92,11 +83,12 @@ LENSES = (
     Lens(
         "budgeted fidelity",
         "budgeted fidelity in place of FidDelta: the ranking of edges alone",
-        {},
-        BUDGETED,
+        metrics={"fid_delta": "budgeted_fidelity"},
     ),
     Lens(
-        "communication-only", "messages between agents alone, every agent's own edge kept", {}, COMMUNICATION
+        "communication-only",
+        "messages between agents alone, every agent's own edge kept",
+        metrics=COMMUNICATION,
     ),
     Lens(
         "communication-only budgeted",

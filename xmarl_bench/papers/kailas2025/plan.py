@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.papers.kailas2025 import main_claims, training_claims, zero_shot_claims
 from xmarl_bench.papers.kailas2025.beyond_claims import BEYOND_CLAIMS
 from xmarl_bench.papers.kailas2025.claims import PAPER_EXPLAINERS, VARIANTS, Cell, Claim
@@ -21,7 +20,7 @@ from xmarl_bench.rollout.cell import Cell as TaskCell
 from xmarl_bench.rollout.cell import Sampling
 from xmarl_bench.scoring.arguments import ALL, check_among
 from xmarl_bench.scoring.request import Request
-from xmarl_bench.scoring.selection import select_explainers, select_policies
+from xmarl_bench.scoring.selection import select_policies
 
 EXPLAINERS = (*PAPER_EXPLAINERS, *(VARIANTS[name] for name in PAPER_EXPLAINERS))
 
@@ -68,13 +67,6 @@ STUDIES = {
     )
 }
 QUICK = Sampling(episodes=4, timesteps=4)
-
-
-def select_study_explainers(
-    more: Sequence[str], limits: Limits | None = None
-) -> tuple[list[Explainer], list[InputError]]:
-    """The explainers that the ledgers compare, and `more`: see `select_explainers`."""
-    return select_explainers([*EXPLAINERS, *more], limits)
 
 
 def select_study_policies(study: Study, names: Sequence[str]) -> list[tuple[Policy, PolicyCard, Cell]]:

@@ -79,12 +79,10 @@ def quality(data: StudyData) -> list[Json]:
             for explainer in data.explainers:
                 runs = data.samples.runs(cell, Term(explainer), regularised)
                 for metric in QUALITY:
-                    blocks = [each.values[metric] for each in runs.values()]
-                    blocks = [x[~np.isnan(x)] for x in blocks]
-                    blocks = [x for x in blocks if x.size]
-                    if not blocks:
+                    blocks = [each[metric][~np.isnan(each[metric])] for each in runs.values()]
+                    means = np.array([x.mean() for x in blocks if x.size])
+                    if not means.size:
                         continue
-                    means = np.array([x.mean() for x in blocks])
                     records.append(
                         {
                             "cell": cell.label,
@@ -93,7 +91,7 @@ def quality(data: StudyData) -> list[Json]:
                             "metric": metric,
                             "mean": float(np.mean(means)),
                             "interval": interval_of(means),
-                            "n_policies": len(blocks),
+                            "n_policies": means.size,
                         }
                     )
     return records

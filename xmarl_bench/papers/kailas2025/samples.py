@@ -27,6 +27,8 @@ from xmarl_bench.records.files import canonical_json
 Floats = NDArray[np.float64]
 KEPT = tuple(metric.name for metric in METRICS)
 Blocks = list[Floats]  # one array of episodes (E,) per training run
+# One (policy, explainer) pair in one cell, by metric: (E,), NaN if it is not a number or was not measured.
+Scored = dict[str, Floats]
 
 
 class Paired(NamedTuple):
@@ -71,14 +73,6 @@ class Place:
         return cls(cell.task, cell.n_trained, 0 if more is None else more, percent)
 
 
-@dataclass(frozen=True)
-class Scored:
-    """One (policy, explainer) pair in one cell."""
-
-    policy: str
-    values: dict[str, Floats]  # by metric, (E,), NaN if it is not a number or was not measured
-
-
 @dataclass
 class Samples:
     """All samples of a study. Controls are stored like explainers, with one mean per policy."""
@@ -114,7 +108,7 @@ class Samples:
         rows = {name: np.array([_number(getattr(row, name)) for row in cell.episodes]) for name in KEPT}
         known = self.scored.setdefault((place, entry.explainer.name), {})
         assert run not in known, card.name
-        known[run] = Scored(card.name, rows)
+        known[run] = rows
         for name, metrics in cell.controls.items():
             if name == INVERTED:
                 continue
@@ -124,7 +118,7 @@ class Samples:
                 for metric, each in summaries.items()
             }
             known = self.scored.setdefault((place, name), {})
-            known.setdefault(run, Scored(card.name, means))
+            known.setdefault(run, means)
 
     def of_term(self, cell: Cell, term: Term) -> dict[Run, Scored]:
         """The runs of a term in a cell, with and without the attention-entropy term."""
@@ -152,7 +146,7 @@ class Samples:
                 its_run = run.unregularised if partners and not _regularised(cell, term) else run
                 scored = self.of_term(cell, term).get(its_run)
                 if scored is not None:
-                    values[term] = scored.values[contrast.metric]
+                    values[term] = scored[contrast.metric]
             if len(values) < len(set(terms)):
                 continue  # one of them is missing
             if len({each.size for each in values.values()}) > 1:
@@ -165,7 +159,7 @@ class Samples:
 
 def pooled(runs: Mapping[Run, Scored], metric: str) -> Floats:
     """The episodes of all runs, concatenated, without those where the metric is not a number."""
-    values = [each.values[metric] for each in runs.values()]
+    values = [each[metric] for each in runs.values()]
     x: Floats = np.concatenate(values) if values else np.array([])
     return x[~np.isnan(x)]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from xmarl_bench.board.ranking import Floats
 from xmarl_bench.entry.schema import CellResult
 from xmarl_bench.metrics.student import student_interval
 
@@ -24,24 +23,11 @@ def _curves(cell: CellResult, name: str) -> dict[str, list[list[float]]]:
     rows = [row for each in cell.episodes if (row := getattr(each, name)) is not None]
     curves = {}
     for curve in CURVES:
-        points = [row_points for row in rows if (row_points := getattr(row, curve))]
-        complete = [each for each in points if None not in each]
+        complete = [points for row in rows if (points := getattr(row, curve)) and None not in points]
         if complete:
-            episodes = np.array(complete, dtype=np.float64)
-            curves[curve] = _with_band(episodes) if curve == "explained" else _rounded(episodes.mean(axis=0))
+            episodes = np.array(complete, dtype=np.float64)  # (E, K)
+            numbers = [episodes.mean(axis=0)]
+            if curve == "explained" and len(episodes) > 1:
+                numbers += student_interval(episodes.T)
+            curves[curve] = [[float(f"{x:.4g}") for x in point] for point in zip(*numbers, strict=True)]
     return curves
-
-
-def _with_band(episodes: Floats) -> list[list[float]]:
-    """(E, K) -> K points with intervals."""
-    if len(episodes) < 2:
-        return _rounded(episodes.mean(axis=0))
-    low, high = student_interval(episodes.T)
-    return [
-        [*mean, *least, *most]
-        for mean, least, most in zip(*map(_rounded, (episodes.mean(axis=0), low, high)), strict=True)
-    ]
-
-
-def _rounded(values: Floats) -> list[list[float]]:
-    return [[float(f"{value:.4g}")] for value in values]

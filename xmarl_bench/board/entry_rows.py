@@ -20,6 +20,10 @@ from xmarl_bench.records.files import canonical_json
 
 Json = dict[str, Any]
 _UNRANKED: Json = {"rank": None, "rank_interval": None, "tie_group": None}
+_OF_ENTRIES = (  # None in the rows of controls
+    "seed", "submitter", "variants_tried", "verified_by", "wall", "date", "paper", "code", "partial", "masks",
+    "fresh", "cost", "not_measured", "entry_id",
+)  # fmt: skip
 
 
 @dataclass
@@ -101,21 +105,14 @@ def control_row(file: str, name: str, metrics: ControlMetrics, episodes: int) ->
     """A row for a control in an entry; all entries of a policy contain the same controls."""
     return {
         **_UNRANKED,
+        **dict.fromkeys(_OF_ENTRIES),
         "explainer": name,
         "hyperparameters": {},
-        "seed": None,
         "control": True,
-        "submitter": None,
-        "variants_tried": None,
         "verification": "",
-        **dict.fromkeys(("verified_by", "wall", "date", "paper", "code", "partial", "masks")),
         "same_masks_as": [],
-        "fresh": None,
-        "cost": None,
         "metrics": _shown(metrics, COLUMNS, episodes),
-        "not_measured": None,
         "file": file,
-        "entry_id": None,
     }
 
 

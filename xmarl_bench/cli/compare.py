@@ -37,9 +37,10 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare explainers on the same policies and episodes: differences, intervals, tests, tie groups."""
+    from dataclasses import asdict
+
     from xmarl_bench.cli import tables
     from xmarl_bench.compare.comparison import compare as run
-    from xmarl_bench.compare.comparison import records
     from xmarl_bench.compare.matching import blocks_of, read_named
     from xmarl_bench.compare.picture import check_picture, draw
     from xmarl_bench.metrics.table import ORDER
@@ -51,7 +52,7 @@ def compare(
     if plot is not None:
         draw(comparisons, plot)
     if as_json:
-        tables.print_json(records(comparisons))
+        tables.print_json([asdict(each) for each in comparisons])
         return
     for comparison in comparisons:
         _print(comparison)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,7 +10,7 @@ import typer
 
 from xmarl_bench.cli.options import TrustCode
 
-BENCHMARL = "With --from benchmarl, without its config.pkl"
+benchmarl_option = partial(typer.Option, rich_help_panel="With --from benchmarl, without its config.pkl")
 
 
 def convert(
@@ -46,58 +47,45 @@ def convert(
     ] = None,
     activation: Annotated[
         str | None,
-        typer.Option(help="Activation function of its MLPs, e.g. tanh.", rich_help_panel=BENCHMARL),
+        benchmarl_option(help="Activation function of its MLPs, e.g. tanh."),
     ] = None,
     loops: Annotated[
         Literal["layer", "graph", "none"] | None,
-        typer.Option(
+        benchmarl_option(
             metavar="HOW",
             help="What lets agents hear themselves: the layer's add_self_loops (layer; True by default), "
             "only BenchMARL's self_loops (graph), or nothing (none).",
-            rich_help_panel=BENCHMARL,
         ),
     ] = None,
     scale_mapping: Annotated[
         str | None,
-        typer.Option(help="Its scale_mapping; biased_softplus_1.0 by default.", rich_help_panel=BENCHMARL),
+        benchmarl_option(help="Its scale_mapping; biased_softplus_1.0 by default."),
     ] = None,
     tanh_normal: Annotated[
         bool | None,
-        typer.Option(
-            "--tanh-normal/--no-tanh-normal",
-            help="Its use_tanh_normal; True by default.",
-            rich_help_panel=BENCHMARL,
-        ),
+        benchmarl_option("--tanh-normal/--no-tanh-normal", help="Its use_tanh_normal; True by default."),
     ] = None,
-    group: Annotated[
-        str | None, typer.Option(help="Group of agents, if it has several.", rich_help_panel=BENCHMARL)
-    ] = None,
+    group: Annotated[str | None, benchmarl_option(help="Group of agents, if it has several.")] = None,
     inputs: Annotated[
         str | None,
-        typer.Option(
+        benchmarl_option(
             help="The entry of our observation that each input of the actor is, such as 4,5,0,1,2,3: keys of "
-            "BenchMARL's observation in sequence, then position_key and velocity_key. By default as ours.",
-            rich_help_panel=BENCHMARL,
+            "BenchMARL's observation in sequence, then position_key and velocity_key. By default as ours."
         ),
     ] = None,
     position: Annotated[
         str,
-        typer.Option(
-            help="Entries of our observation for position_key, such as 0,1.", rich_help_panel=BENCHMARL
-        ),
+        benchmarl_option(help="Entries of our observation for position_key, such as 0,1."),
     ] = "",
     velocity: Annotated[
         str,
-        typer.Option(
-            help="Entries of our observation for velocity_key, such as 2,3.", rich_help_panel=BENCHMARL
-        ),
+        benchmarl_option(help="Entries of our observation for velocity_key, such as 2,3."),
     ] = "",
     radius: Annotated[
         float | None,
-        typer.Option(
+        benchmarl_option(
             help="edge_radius of the topology from_pos, or inf for the topology full; asked for if the GNN "
-            "gets positions.",
-            rich_help_panel=BENCHMARL,
+            "gets positions."
         ),
     ] = None,
     trust_code: TrustCode = False,

@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from xmarl_bench.cli.options import AsJson
 
 
-class Kind(StrEnum):
-    tasks = "tasks"
-    policies = "policies"
-    explainers = "explainers"
-
-
-def list_(kind: Annotated[Kind, typer.Argument(help="What to list.")], as_json: AsJson = False) -> None:
+def list_(
+    kind: Annotated[Literal["tasks", "policies", "explainers"], typer.Argument(help="What to list.")],
+    as_json: AsJson = False,
+) -> None:
     """List tasks, policies or explainers."""
     from xmarl_bench.cli import listings, tables
     from xmarl_bench.cli.fitted_table import print_table
     from xmarl_bench.errors import InputError
 
     failures: Sequence[InputError] = ()
-    if kind is Kind.tasks:
+    if kind == "tasks":
         rows = listings.tasks()
-    elif kind is Kind.policies:
+    elif kind == "policies":
         rows, failures = listings.policies()
     else:
         rows = listings.explainers()

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 
-class Kind(StrEnum):
-    explainer = "explainer"
-    policy = "policy"
-
-
 def new(
-    kind: Annotated[Kind, typer.Argument(help="What the package registers.")],
+    kind: Annotated[Literal["explainer", "policy"], typer.Argument(help="What the package registers.")],
     name: Annotated[str, typer.Argument(help="Its name, such as my-explainer.")],
     out: Annotated[Path | None, typer.Option(help="Folder to write; ./NAME by default.")] = None,
 ) -> None:
@@ -23,7 +17,7 @@ def new(
     from xmarl_bench.plugins.new_package import write_package
 
     folder = Path(name) if out is None else out
-    for path in write_package(kind.value, name, folder):
+    for path in write_package(kind, name, folder):
         print(path)
-    trust = " --trust-code" if kind is Kind.policy else ""
-    print(f"Next: pip install --editable {folder} && xmarl-bench check {kind.value} {name}{trust}")
+    trust = " --trust-code" if kind == "policy" else ""
+    print(f"Next: pip install --editable {folder} && xmarl-bench check {kind} {name}{trust}")

@@ -2,153 +2,118 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-# Groups of options in --help.
-WHAT, HOW_MUCH = "What", "How much"
-WHERE, RUNS_ON = "Where results go", "Processes and cluster"
+# Options by their group in --help.
+what_option = partial(typer.Option, rich_help_panel="What")
+how_much_option = partial(typer.Option, rich_help_panel="How much")
+where_option = partial(typer.Option, rich_help_panel="Where results go")
+cluster_option = partial(typer.Option, rich_help_panel="Processes and cluster")
 
 Tasks = Annotated[
     list[str],
-    typer.Option(
-        "--task",
-        metavar="NAME",
-        help="Task, path/to/file.py:factory, module:factory, or 'all'. Repeatable.",
-        rich_help_panel=WHAT,
+    what_option(
+        "--task", metavar="NAME", help="Task, path/to/file.py:factory, module:factory, or 'all'. Repeatable."
     ),
 ]
 Agents = Annotated[
     list[str],
-    typer.Option(
-        "--agents",
-        metavar="N",
-        help="Team size, or 'all': each policy's own. Repeatable.",
-        rich_help_panel=WHAT,
-    ),
+    what_option("--agents", metavar="N", help="Team size, or 'all': each policy's own. Repeatable."),
 ]
 Teams = Annotated[
     list[int],
-    typer.Option(
+    what_option(
         "--team",
         metavar="N",
         help="Team size that the chosen policies play in, in place of the one they were trained for "
         "(zero-shot). Repeatable.",
-        rich_help_panel=WHAT,
     ),
 ]
 Policies = Annotated[
     list[str],
-    typer.Option(
+    what_option(
         "--policy",
         metavar="NAME",
         help="Policy name, folder or zip of a bundle, module:factory, 'all', 'finished' (all but checkpoints "
         "along training), a family ('residual', 'paper'), or 'default' (the best residual seed for each task "
         "and team size, with and without regulariser). Repeatable.",
-        rich_help_panel=WHAT,
     ),
 ]
 Explainers = Annotated[
     list[str],
-    typer.Option(
+    what_option(
         "--explainer",
         metavar="NAME",
         help="Explainer name, path/to/file.py:Name, module:Name, or 'all'. Repeatable.",
-        rich_help_panel=WHAT,
     ),
 ]
 TrustCode = Annotated[
     bool,
-    typer.Option(
+    what_option(
         "--trust-code",
         help="Run the code of policies and tasks that have their own (module:factory, or of an installed "
         "package).",
-        rich_help_panel=WHAT,
     ),
 ]
-Episodes = Annotated[int, typer.Option(help="Episodes per policy.", rich_help_panel=HOW_MUCH)]
+Episodes = Annotated[int, how_much_option(help="Episodes per policy.")]
 Timesteps = Annotated[
     int | None,
-    typer.Option(
-        help="At most so many evenly spaced timesteps of each episode; all by default.",
-        rich_help_panel=HOW_MUCH,
-    ),
+    how_much_option(help="At most so many evenly spaced timesteps of each episode; all by default."),
 ]
 MaxCycles = Annotated[
     int | None,
-    typer.Option(help="Steps per episode; the task's default if not given.", rich_help_panel=HOW_MUCH),
+    how_much_option(help="Steps per episode; the task's default if not given."),
 ]
-Seed = Annotated[
-    int, typer.Option(help="Seed of the episodes and of the explainers.", rich_help_panel=HOW_MUCH)
-]
-Submitter = Annotated[
-    str | None, typer.Option(help="Name of the submitter, for the entries.", rich_help_panel=WHERE)
-]
+Seed = Annotated[int, how_much_option(help="Seed of the episodes and of the explainers.")]
+Submitter = Annotated[str | None, where_option(help="Name of the submitter, for the entries.")]
 CacheFolder = Annotated[
     Path,
-    typer.Option(
-        "--cache",
-        envvar="XMARL_BENCH_CACHE",
-        help="Folder of the cache that all runs share.",
-        rich_help_panel=WHERE,
-    ),
+    where_option("--cache", envvar="XMARL_BENCH_CACHE", help="Folder of the cache that all runs share."),
 ]
 Resume = Annotated[
     bool,
-    typer.Option(help="Use pieces in the cache; --no-resume computes them again.", rich_help_panel=WHERE),
+    where_option(help="Use pieces in the cache; --no-resume computes them again."),
 ]
 Jobs = Annotated[
     int | None,
-    typer.Option(
-        help="Processes; 1 by default, or every worker of a cluster. Changes no result.",
-        rich_help_panel=RUNS_ON,
-    ),
+    cluster_option(help="Processes; 1 by default, or every worker of a cluster. Changes no result."),
 ]
 Backend = Annotated[
     Literal["loky", "ray", "dask"],
-    typer.Option(
-        help="Where processes run: on this machine (loky), or on a Ray or Dask cluster.",
-        rich_help_panel=RUNS_ON,
-    ),
+    cluster_option(help="Where processes run: on this machine (loky), or on a Ray or Dask cluster."),
 ]
 Address = Annotated[
     str | None,
-    typer.Option(
-        help="host:port of the cluster of --backend; by default, start one on this machine.",
-        rich_help_panel=RUNS_ON,
-    ),
+    cluster_option(help="host:port of the cluster of --backend; by default, start one on this machine."),
 ]
 Device = Annotated[
     str,
-    typer.Option(
+    cluster_option(
         help="Where training or explainers that iterate compute: cpu, cuda or mps. Only the CPU repeats bit "
-        "for bit.",
-        rich_help_panel=RUNS_ON,
+        "for bit."
     ),
 ]
 Parallel = Annotated[
     int,
-    typer.Option(
-        help="Episodes stepped in parallel in a process. Changes no result.", rich_help_panel=RUNS_ON
-    ),
+    cluster_option(help="Episodes stepped in parallel in a process. Changes no result."),
 ]
 Isolate = Annotated[
     bool,
-    typer.Option(
+    how_much_option(
         help="Run explainers that are not shipped, and policies and tasks that are code, in processes of "
         "their own. --no-isolate runs them in this process, to debug them: entries say so, and nothing is "
-        "kept in the cache.",
-        rich_help_panel=HOW_MUCH,
+        "kept in the cache."
     ),
 ]
 AnswerSeconds = Annotated[
     float,
-    typer.Option(
+    how_much_option(
         help="Seconds in which such a process must answer: an explainer for an episode, a policy for a batch "
-        "of masks, a task for a step.",
-        rich_help_panel=HOW_MUCH,
+        "of masks, a task for a step."
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]

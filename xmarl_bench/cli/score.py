@@ -6,12 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
 from xmarl_bench.cli.options import (
-    HOW_MUCH,
-    WHAT,
-    WHERE,
     Address,
     Agents,
     AnswerSeconds,
@@ -32,6 +27,9 @@ from xmarl_bench.cli.options import (
     Teams,
     Timesteps,
     TrustCode,
+    how_much_option,
+    what_option,
+    where_option,
 )
 from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.parallel.loading import without_collector
@@ -54,29 +52,23 @@ def score(
     timesteps: Timesteps = None,
     slow_episodes: Annotated[
         int | None,
-        typer.Option(help="Episodes for explainers that declare themselves slow.", rich_help_panel=HOW_MUCH),
+        how_much_option(help="Episodes for explainers that declare themselves slow."),
     ] = None,
     slow_timesteps: Annotated[
         int | None,
-        typer.Option(
-            help="Timesteps per episode for explainers that declare themselves slow.",
-            rich_help_panel=HOW_MUCH,
-        ),
+        how_much_option(help="Timesteps per episode for explainers that declare themselves slow."),
     ] = None,
     behaviour_episodes: Annotated[
         int | None,
-        typer.Option(
+        how_much_option(
             help="Episodes that the team also plays on the explanation; by default all, or none for "
-            "explainers that declare themselves slow.",
-            rich_help_panel=HOW_MUCH,
+            "explainers that declare themselves slow."
         ),
     ] = None,
     no_behaviour: Annotated[
         list[str],
-        typer.Option(
-            metavar="NAME",
-            help="Explainer without episodes played on its masks, or 'all'. Repeatable.",
-            rich_help_panel=HOW_MUCH,
+        how_much_option(
+            metavar="NAME", help="Explainer without episodes played on its masks, or 'all'. Repeatable."
         ),
     ] = [],  # noqa: B006
     max_cycles: MaxCycles = None,
@@ -92,15 +84,12 @@ def score(
     isolate: Isolate = True,
     answer_seconds: AnswerSeconds = UNLIMITED.answer_seconds,
     submitter: Submitter = None,
-    out: Annotated[
-        Path, typer.Option(help="Folder for entries/ and the page.", rich_help_panel=WHERE)
-    ] = Path("results"),
+    out: Annotated[Path, where_option(help="Folder for entries/ and the page.")] = Path("results"),
     suite: Annotated[
         Literal["tasks", "planted"],
-        typer.Option(
+        what_option(
             help="`planted`: policies whose relevant messages are known by construction, instead of the "
-            "tasks; uses --explainer, --seed and --out only.",
-            rich_help_panel=WHAT,
+            "tasks; uses --explainer, --seed and --out only."
         ),
     ] = "tasks",
 ) -> None:

@@ -9,10 +9,9 @@ same weight.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,8 +145,3 @@ def _values(blocks: Blocks, explainer: str, metric: str) -> list[Floats]:
         rows = [getattr(row, metric) for row in cell.episodes]
         found.append(np.array([np.nan if value is None else value for value in rows], dtype=np.float64))
     return found
-
-
-def records(comparisons: Sequence[Comparison]) -> list[Mapping[str, Any]]:
-    """The comparisons as plain values for JSON."""
-    return [asdict(comparison) for comparison in comparisons]

@@ -155,6 +155,28 @@ class Claim:
             assert (contrast.relation is Relation.BETTER) == (contrast.margin == 0.0), self.id
 
 
+@dataclass(frozen=True)
+class Statements:
+    """Makes the claims of a study: in all its cells, if none are given."""
+
+    study: str
+    cells: tuple[Cell, ...]
+
+    def __call__(
+        self,
+        id: str,
+        lines: str,
+        section: str,
+        text: str,
+        *contrasts: Contrast,
+        quantifier: Quantifier = Quantifier.MOST,
+        combine: Combine = Combine.ALL,
+        cells: tuple[Cell, ...] = (),
+    ) -> Claim:
+        name = f"{self.study}-{id}"
+        return Claim(name, lines, section, text, cells or self.cells, contrasts, quantifier, combine)
+
+
 # The paper's explainers by registered name: its GraphMask is torch_geometric's.
 ATTENTION, GNN, GRAPHMASK = "attention", "gnn_explainer", "graphmask-pyg"
 PAPER_EXPLAINERS = (ATTENTION, GNN, GRAPHMASK)

@@ -15,6 +15,7 @@ from xmarl_bench.papers.kailas2025.claims import (
     Combine,
     Contrast,
     Quantifier,
+    Statements,
     beats,
     best,
     improves,
@@ -36,18 +37,7 @@ FAITHFULNESS = "6.2 Results on Explanation Faithfulness"
 PERFORMANCE = "6.3 Impact on Task Performance"
 APPENDIX = "Appendix, Positive Fidelity and Negative Fidelity"
 
-
-def main(
-    id: str,
-    lines: str,
-    section: str,
-    text: str,
-    *contrasts: Contrast,
-    quantifier: Quantifier = Quantifier.MOST,
-    combine: Combine = Combine.ALL,
-    cells: tuple[Cell, ...] = CELLS,
-) -> Claim:
-    return Claim(f"main-{id}", lines, section, text, cells, contrasts, quantifier, combine)
+main = Statements("main", CELLS)
 
 
 def improvements(explainer: str) -> tuple[Contrast, ...]:

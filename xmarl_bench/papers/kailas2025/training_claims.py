@@ -16,6 +16,7 @@ from xmarl_bench.papers.kailas2025.claims import (
     Contrast,
     Quantifier,
     Side,
+    Statements,
     Term,
     best,
     improves,
@@ -41,11 +42,7 @@ FAITHFULNESS = "Appendix, Explanation Quality Over Training Iterations, Unfaithf
 PERFORMANCE = "Appendix, Explanation Quality Over Training Iterations, Task Performance"
 
 
-def training(
-    id: str, lines: str, section: str, text: str, *contrasts: Contrast,
-    quantifier: Quantifier = Quantifier.MOST, cells: tuple[Cell, ...] = CELLS,
-) -> Claim:  # fmt: skip
-    return Claim(f"training-{id}", lines, section, text, cells, contrasts, quantifier)
+training = Statements("training", CELLS)
 
 
 def grows(explainer: str, metric: str) -> Contrast:

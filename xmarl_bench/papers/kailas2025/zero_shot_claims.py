@@ -12,6 +12,7 @@ from xmarl_bench.papers.kailas2025.claims import (
     Contrast,
     Quantifier,
     Side,
+    Statements,
     Term,
     beats,
     best,
@@ -33,11 +34,7 @@ FAITHFULNESS = "Appendix, Zero-Shot Deployment for Larger Team Sizes, Unfaithful
 PERFORMANCE = "Appendix, Zero-Shot Deployment for Larger Team Sizes, Task Performance"
 
 
-def zero_shot(
-    id: str, lines: str, section: str, text: str, *contrasts: Contrast,
-    quantifier: Quantifier = Quantifier.MOST, cells: tuple[Cell, ...] = CELLS,
-) -> Claim:  # fmt: skip
-    return Claim(f"zero-shot-{id}", lines, section, text, cells, contrasts, quantifier)
+zero_shot = Statements("zero-shot", CELLS)
 
 
 def lead_shrinks(metric: str) -> Contrast:

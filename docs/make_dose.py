@@ -17,12 +17,12 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 from scipy.stats import kendalltau
 from xmarl_baselines.dose import RECORDS
 
 from xmarl_bench.counted import counted
 from xmarl_bench.metrics.statistics import Difference, over_runs
+from xmarl_bench.records.markdown import from_template
 
 DOCS = Path(__file__).parent
 BLUE, ORANGE, GREY = "#0072b2", "#d55e00", "#808080"  # Okabe and Ito
@@ -112,9 +112,8 @@ def rows(runs: Runs) -> list[list[str]]:
 
 
 def page(runs: Runs) -> str:
-    environment = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
-    template = environment.from_string((DOCS / "dose.md.jinja").read_text(encoding="utf-8"))
-    return template.render(answer=textwrap.fill(answer(runs), 118), columns=COLUMNS, rows=rows(runs))
+    said = textwrap.fill(answer(runs), 118)
+    return from_template(DOCS / "dose.md.jinja", answer=said, columns=COLUMNS, rows=rows(runs))
 
 
 def draw(runs: Runs, path: Path) -> None:

@@ -20,7 +20,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 from matplotlib.axes import Axes
 from scipy.stats import spearmanr
 from xmarl_envs import TASKS
@@ -32,6 +31,7 @@ from xmarl_bench.counted import counted
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.statistics import Difference
 from xmarl_bench.metrics.table import ORDER, UNDER_ABSENCES
+from xmarl_bench.records.markdown import from_template
 
 ROOT = Path(__file__).parent.parent
 # Okabe and Ito's colours, told apart by colour-blind people.
@@ -274,12 +274,9 @@ def wrapped(text: str, indent: str = "") -> str:
 
 
 def page(findings: Sequence[Finding], scores: Scores) -> str:
-    environment = Environment(
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
-    )
-    environment.filters["wrapped"] = wrapped
-    template = environment.from_string((ROOT / "docs" / "findings.md.jinja").read_text(encoding="utf-8"))
-    return template.render(findings=findings, undecided=undecided(scores), by_family=by_family(scores))
+    template, filters = ROOT / "docs" / "findings.md.jinja", {"wrapped": wrapped}
+    parts = {"undecided": undecided(scores), "by_family": by_family(scores)}
+    return from_template(template, filters, findings=findings, **parts)
 
 
 def draw(finding: Finding, path: Path) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -29,6 +30,7 @@ from xmarl_bench.meta.planted_suite import score_planted
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.table import UNDER_ABSENCES, by_name
 from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.records.markdown import markdown_table, rewrite, with_part
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.scoring.selection import select_explainers, select_policies
 
@@ -56,28 +58,22 @@ def title(name: str) -> str:
 
 def table_of_curves(suites: Suites) -> str:
     """Markdown: how well each metric follows the steps, in both forms."""
-    lines = [
-        "| metric |"
-        + "".join(f" {suite} | smallest | over policies | worse keeps more |" for suite in suites),
-        "|---|" + "---|" * 8,
-    ]
+    header, rows = ["metric"], []
+    for suite in suites:
+        header += [suite, "smallest", "over policies", "worse keeps more"]
     for metric in METRICS:
         cells = []
         for curves in suites.values():
             same = followed(curves, metric, Form.SAME_VALUES)
             more = followed(curves, metric, Form.KEEPS_MORE)
             cells += [same.within, same.smallest, same.over, more.within]
-        lines.append(f"| {by_name()[metric].title} | " + " | ".join(f"{x:.2f}" for x in cells) + " |")
-    return "\n".join(lines) + "\n"
+        rows.append([by_name()[metric].title, *(f"{x:.2f}" for x in cells)])
+    return markdown_table(header, rows)
 
 
 def table_of_degenerate(found: Sequence[Degenerate]) -> str:
     """Markdown: what metrics say of each kind, as a share of what they say of the right ranking."""
-    headings = [by_name()[name].title for name in OF_DEGENERATE]
-    lines = [
-        "| explanation | " + " | ".join(headings) + " | found by `check explainer` |",
-        "|---|" + "---|" * (len(headings) + 1),
-    ]
+    headings, lines = [by_name()[name].title for name in OF_DEGENERATE], []
     right = {each.policy: each for each in found if each.kind == RIGHT}
     for kind in dict.fromkeys(each.kind for each in found):
         rows = [each for each in found if each.kind == kind]
@@ -87,19 +83,15 @@ def table_of_degenerate(found: Sequence[Degenerate]) -> str:
         ]
         checks = dict.fromkeys(check for each in rows for check in each.failed)
         said = [f"{check} ({sum(check in each.failed for each in rows)} of {len(rows)})" for check in checks]
-        lines.append(
-            f"| {kind} | " + " | ".join(f"{x:.2f}" for x in shares) + f" | {'; '.join(said) or '-'} |"
-        )
-    return "\n".join(lines) + "\n"
+        lines.append([kind, *(f"{x:.2f}" for x in shares), "; ".join(said) or "-"])
+    return markdown_table(["explanation", *headings, "found by `check explainer`"], lines)
 
 
 def table_of_absences(found: dict[str, Floats]) -> str:
     """Markdown: per policy, how far two absence models agree about who matters, over their six pairs."""
-    lines = ["| policy | mean over pairs of models | smallest |", "|---|---|---|"]
-    for name, matrix in found.items():
-        pairs = matrix[np.triu_indices(len(matrix), 1)]
-        lines.append(f"| {name} | {pairs.mean():.2f} | {pairs.min():.2f} |")
-    return "\n".join(lines) + "\n"
+    pairs = {name: matrix[np.triu_indices(len(matrix), 1)] for name, matrix in found.items()}
+    rows = [(name, f"{each.mean():.2f}", f"{each.min():.2f}") for name, each in pairs.items()]
+    return markdown_table(("policy", "mean over pairs of models", "smallest"), rows)
 
 
 def draw_curves(suites: Suites, path: Path) -> None:
@@ -155,13 +147,6 @@ def partner(policies: Sequence[tuple[Policy, PolicyCard]], k: int) -> Policy:
     return policies[same[(same.index(k) + 1) % len(same)]][0]
 
 
-def replaced(text: str, name: str, made: str) -> str:
-    """The text with what stands between the two marks of that name replaced."""
-    begin, end = f"<!-- {name}:begin -->\n", f"<!-- {name}:end -->"
-    before, rest = text.split(begin)
-    return before + begin + made + end + rest.split(end)[1]
-
-
 def main() -> None:
     policies = [(policy, card) for policy, card, _ in select_policies(["finished"], ["all"], ["all"])]
     suites: Suites = {
@@ -191,12 +176,12 @@ def main() -> None:
     }
     draw_curves(suites, HERE / "degradation.png")
     draw_agreement(rank_agreement(board, COMPARED), absences, HERE / "agreement.png")
-    page = HERE / "metrics.md"
-    text = replaced(page.read_text(encoding="utf-8"), "followed", table_of_curves(suites))
-    text = replaced(text, "absences", table_of_absences(who_matters))
-    page.write_text(
-        replaced(text, "degenerate", table_of_degenerate(degenerate)), encoding="utf-8", newline="\n"
-    )
+    for name, part in (
+        ("followed", table_of_curves(suites)),
+        ("absences", table_of_absences(who_matters)),
+        ("degenerate", table_of_degenerate(degenerate)),
+    ):
+        rewrite(HERE / "metrics.md", partial(with_part, name=name, part=part))
 
 
 if __name__ == "__main__":

@@ -9,35 +9,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from xmarl_bench.metrics import table
-from xmarl_bench.metrics.table import Direction, Group, Metric
+from xmarl_bench.metrics.table import Direction, Group, metrics_of
+from xmarl_bench.records.markdown import markdown_table, rewrite, with_part
 
 PAGE = Path(__file__).with_name("metrics.md")
-BEGIN, END = "<!-- metrics:begin -->\n", "<!-- metrics:end -->"
 BEST = {Direction.HIGHER: "high", Direction.LOWER: "low", Direction.NONE: ""}
 
 
 def page(text: str) -> str:
     """The page with its tables replaced."""
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    return before + BEGIN + "\n".join(map(section, Group)) + END + after
+    return with_part(text, "metrics", "\n".join(map(section, Group)))
 
 
 def section(group: Group) -> str:
-    lines = [
-        f"**{group.value[:1].upper()}{group.value[1:]}**",
-        "",
-        "| name | metric | says | range | unit | best | needs |",
-        "|---|---|---|---|---|---|---|",
-        *map(row, table.metrics_of(group)),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def row(metric: Metric) -> str:
-    cells = (f"`{metric.name}`", metric.title, metric.meaning, metric.range.text, metric.unit)
-    return "| " + " | ".join((*cells, BEST[metric.direction], ", ".join(metric.needs))) + " |"
+    header = "name", "metric", "says", "range", "unit", "best", "needs"
+    rows = [
+        (f"`{each.name}`", each.title, each.meaning, each.range.text, each.unit, BEST[each.direction],
+         ", ".join(each.needs))
+        for each in metrics_of(group)
+    ]  # fmt: skip
+    return f"**{group.value[:1].upper()}{group.value[1:]}**\n\n{markdown_table(header, rows)}"
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")
+    rewrite(PAGE, page)

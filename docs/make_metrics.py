@@ -28,6 +28,7 @@ from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies
+from xmarl_bench.records.markdown import markdown_table, rewrite, with_part
 from xmarl_bench.reproducible import episode_seeds, one_thread
 from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.rollout.reference_states import reference_states
@@ -35,7 +36,6 @@ from xmarl_bench.scoring.states import States
 
 HERE = Path(__file__).parent
 EPISODES = 10
-BEGIN, END = "<!-- measured:begin -->\n", "<!-- measured:end -->"
 METRICS = ("fid_delta", "budgeted_fidelity", "message_fidelity", "mask_mass")
 
 
@@ -82,15 +82,12 @@ def measure(folder: Path) -> tuple[str, dict[str, Row]]:
 
 def table(measured: dict[str, list[dict[str, Row]]]) -> str:
     """A Markdown table of means over policies, a row per task and mask."""
-    lines = [
-        "| task | mask | " + " | ".join(heading(name) for name in METRICS) + " |",
-        "|---|---|" + "---|" * len(METRICS),
-    ]
+    rows = []
     for task, policies in measured.items():
         for name in policies[0]:
             means = [np.mean([policy[name][metric] for policy in policies]) for metric in METRICS]
-            lines.append(f"| {task} | {name} | " + " | ".join(f"{mean:.3f}" for mean in means) + " |")
-    return "\n".join(lines) + "\n"
+            rows.append((task, name, *(f"{mean:.3f}" for mean in means)))
+    return markdown_table(("task", "mask", *map(heading, METRICS)), rows)
 
 
 def draw(measured: dict[str, list[dict[str, Row]]], path: Path) -> None:
@@ -153,10 +150,7 @@ def main() -> None:
         task, means = measure(folders[best.name])
         measured[task].append(means)
     draw(measured, HERE / "metrics.png")
-    page = HERE / "metrics.md"
-    text = page.read_text(encoding="utf-8")
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    page.write_text(before + BEGIN + table(measured) + END + after, encoding="utf-8", newline="\n")
+    rewrite(HERE / "metrics.md", lambda text: with_part(text, "measured", table(measured)))
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from xmarl_bench.records.files import write_atomically, write_json
+from xmarl_bench.records.markdown import markdown_table
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
@@ -81,17 +82,14 @@ def page(data: Record) -> str:
 
 
 def _comparisons(rows: list[Record]) -> str:
-    lines = [
-        "| ours | beside | unit | ours | theirs | times as fast | bar |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    lines = []
     for row in sorted(rows, key=lambda row: float(row["ratio"])):
         peer = row["peer"] + (f" ({row['remark']})" if row["remark"] else "")
         bar = "" if row["bar"] is None else f"{row['bar']:g}"
         times = f"{_number(row['ratio'])} ({_number(row['low'])} to {_number(row['high'])})"
-        values = f"{_number(row['ours'])} | {_number(row['theirs'])} | {times} | {bar}"
-        lines.append(f"| {row['what']} | {peer} | {row['unit']} | {values} |")
-    return "\n".join(lines) + "\n"
+        values = _number(row["ours"]), _number(row["theirs"])
+        lines.append((row["what"], peer, row["unit"], *values, times, bar))
+    return markdown_table(("ours", "beside", "unit", "ours", "theirs", "times as fast", "bar"), lines)
 
 
 def _section(file: str, run: Record) -> str:
@@ -107,11 +105,13 @@ def _section(file: str, run: Record) -> str:
     ]
     alone = [each for each in run["benchmarks"] if not each["comparisons"] or each["figures"]]
     if alone:
-        lines += ["| benchmark | seconds, least / median / most | rounds | figures |", "|---|---|---|---|"]
-        for each in alone:
-            seconds = f"{' / '.join(map(_number, each['seconds']))} {each['timer']}"
-            lines.append(f"| `{each['name']}` | {seconds} | {each['rounds']} | {_value(each['figures'])} |")
-        lines.append("")
+        rows = [
+            (f"`{each['name']}`", f"{' / '.join(map(_number, each['seconds']))} {each['timer']}",
+             str(each["rounds"]), _value(each["figures"]))
+            for each in alone
+        ]  # fmt: skip
+        header = "benchmark", "seconds, least / median / most", "rounds", "figures"
+        lines.append(markdown_table(header, rows))
     return "\n".join(lines)
 
 

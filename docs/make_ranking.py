@@ -16,6 +16,7 @@ from xmarl_bench.board.answer import answer_of, answer_on_term, gamed_by, number
 from xmarl_bench.board.regulariser import families_of, regulariser_of
 from xmarl_bench.board.scores import Scores, overall_ranking
 from xmarl_bench.counted import counted
+from xmarl_bench.records.markdown import markdown_table, rewrite, with_part
 
 ROOT = Path(__file__).parent.parent
 
@@ -42,12 +43,7 @@ def section(ranking: dict[str, Any]) -> str:
         f"{counted(len(ranking['policies']), 'policy')} (`make rescore`); 0 is a random ranking of the "
         f"messages and 1 the best one:"
     )
-    lines = [
-        *textwrap.wrap(about, 118),
-        "",
-        "| explainer | message fidelity | FidDelta |",
-        "|---|---|---|",
-    ]
+    rows = []
     for row in ranking["rows"]:
         if row["control"] and row["explainer"] not in CONTROLS:
             continue
@@ -58,17 +54,15 @@ def section(ranking: dict[str, Any]) -> str:
             "" if row["interval"] is None else " [{}, {}]".format(*(number(x, 2) for x in row["interval"]))
         )
         value, fid_delta = number(row["value"], 2), number(row["means"]["fid_delta"], 2)
-        lines.append(f"| {name} | {value}{interval} | {fid_delta} |")
-    return "\n".join(lines) + "\n"
+        rows.append((name, value + interval, fid_delta))
+    table = markdown_table(("explainer", "message fidelity", "FidDelta"), rows)
+    return f"{textwrap.fill(about, 118)}\n\n{table}"
 
 
 def page(text: str, leaderboard: dict[str, Any]) -> str:
     """The README with its answer and its ranking, over all tasks and team sizes."""
-    ranking = overall_ranking(leaderboard)
-    for name, part in (("answer", answer(leaderboard)), ("ranking", section(ranking))):
-        begin, end = f"<!-- {name}:begin -->\n", f"<!-- {name}:end -->"
-        text = text.split(begin)[0] + begin + part + end + text.split(end)[1]
-    return text
+    text = with_part(text, "answer", answer(leaderboard))
+    return with_part(text, "ranking", section(overall_ranking(leaderboard)))
 
 
 def built() -> dict[str, Any]:
@@ -77,5 +71,4 @@ def built() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    readme = ROOT / "README.md"
-    readme.write_text(page(readme.read_text(encoding="utf-8"), built()), encoding="utf-8", newline="\n")
+    rewrite(ROOT / "README.md", lambda text: page(text, built()))

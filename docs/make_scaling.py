@@ -13,10 +13,10 @@ from statistics import mean, median
 
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.entry.schema import Entry
+from xmarl_bench.records.markdown import markdown_table, rewrite, with_part
 
 HERE = Path(__file__).parent
 ENTRIES = HERE.parent / "leaderboard" / "entries"
-BEGIN, END = "<!-- measured:begin -->\n", "<!-- measured:end -->"
 POLICIES = 10_000
 CORES = 64
 PRICE = 0.05  # US dollars for one rented core for one hour: an assumption, not a measurement
@@ -29,23 +29,19 @@ def section(entries: list[Entry]) -> str:
         by_explainer[_label(entry)].append(entry)
     sizes = sorted({entry.policy.n_agents for entry in entries})
     shared = _shared(entries)
-    lines = [
-        f"| seconds on one core | {' | '.join(f'{n} agents' for n in sizes)} | policies |",
-        "|---|" + "---|" * (len(sizes) + 1),
-        _row("oracle and controls, once per policy", sizes, shared),
-    ]
+    rows = [_row("oracle and controls, once per policy", sizes, shared)]
     total = mean([seconds for _, seconds in shared])
     summands = [f"{total:.1f}"]
     for label, its_entries in sorted(by_explainer.items()):
         masks = [(entry.policy.n_agents, _masks(entry)) for entry in its_entries]
-        lines.append(_row(f"{label}: masks", sizes, masks))
+        rows.append(_row(f"{label}: masks", sizes, masks))
         played = [
             (entry.policy.n_agents, entry.cost.behaviour_seconds)
             for entry in its_entries
             if entry.cost.behaviour_seconds
         ]
         if played:
-            lines.append(_row(f"{label}: playing on them", sizes, played))
+            rows.append(_row(f"{label}: playing on them", sizes, played))
         for part in (masks, played):
             if part:
                 summands.append(f"{mean(seconds for _, seconds in part):.1f}")
@@ -54,8 +50,8 @@ def section(entries: list[Entry]) -> str:
     timesteps = [entry.cost.explained_timesteps for entry in entries]
     cpus = ", ".join(sorted({entry.provenance.cpu for entry in entries}))
     some = f"{min(timesteps)} to {max(timesteps)}"
-    lines += [
-        "",
+    lines = [
+        markdown_table(("seconds on one core", *(f"{n} agents" for n in sizes), "policies"), rows),
         f"Means over the policies of {len(entries)} entries, of {some} timesteps, on {cpus}.",
         "",
         f"A policy takes the sum of the means, {' + '.join(summands)} = {total:.0f} s.",
@@ -86,18 +82,17 @@ def _shared(entries: list[Entry]) -> list[tuple[int, float]]:
     return [(n_agents, median(each)) for (_, n_agents), each in seconds.items()]
 
 
-def _row(what: str, sizes: list[int], seconds: list[tuple[int, float]]) -> str:
-    cells = []
+def _row(what: str, sizes: list[int], seconds: list[tuple[int, float]]) -> list[str]:
+    cells = [what]
     for size in sizes:
         those = [each for n_agents, each in seconds if n_agents == size]
         cells.append(f"{mean(those):.1f}" if those else "-")
-    return f"| {what} | {' | '.join(cells)} | {len(seconds)} |"
+    return [*cells, str(len(seconds))]
 
 
 def page(text: str, entries: list[Entry]) -> str:
     """`text` of the page with its measured part replaced."""
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    return before + BEGIN + section(entries) + END + after
+    return with_part(text, "measured", section(entries))
 
 
 def measured() -> list[Entry]:
@@ -106,10 +101,5 @@ def measured() -> list[Entry]:
     return [each for each in entries if {cell.n_agents for cell in each.results} == {each.policy.n_agents}]
 
 
-def main() -> None:
-    path = HERE / "scaling.md"
-    path.write_text(page(path.read_text(encoding="utf-8"), measured()), encoding="utf-8", newline="\n")
-
-
 if __name__ == "__main__":
-    main()
+    rewrite(HERE / "scaling.md", lambda text: page(text, measured()))

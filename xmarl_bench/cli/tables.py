@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from xmarl_bench.cli.fitted_table import cell
 from xmarl_bench.errors import InputError
+from xmarl_bench.records.markdown import markdown_table
 
 if TYPE_CHECKING:
     from xmarl_bench.scoring.score import Failed
@@ -21,14 +22,7 @@ Outcome = TypeVar("Outcome")
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    if not rows:
-        return ""
-    lines = [
-        list(rows[0]),
-        ["---"] * len(rows[0]),
-        *([cell(value) for value in row.values()] for row in rows),
-    ]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return markdown_table([*rows[0]], [[*map(cell, row.values())] for row in rows]).rstrip() if rows else ""
 
 
 def print_json(value: Any) -> None:

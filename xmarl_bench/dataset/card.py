@@ -6,6 +6,8 @@ from typing import Final
 
 from pydantic import BaseModel, ConfigDict
 
+from xmarl_bench.records.markdown import markdown_table
+
 # Array -> its meaning. S timesteps of E episodes, N agents, D observation entries, A action entries.
 MEANINGS: Final[dict[str, str]] = {
     "observation": "(S, N, D) what the policy reads; of a policy with memory, its memory comes last",
@@ -42,17 +44,12 @@ class Card(BaseModel):
 
     def page(self, arrays: dict[str, tuple[str, tuple[int, ...]]]) -> str:
         """The card as Markdown. arrays: name -> (dtype, shape)."""
-        lines = [
-            f"# {self.name}",
-            "",
-            f"{self.episodes} episodes of {self.task} with {self.n_agents} agents, from xmarl-bench "
-            f"{self.harness_version}, seed {self.seed}.",
-            "",
-            "| array | dtype | shape | meaning |",
-            "|---|---|---|---|",
-        ]
-        lines += [
-            f"| `{name}` | {dtype} | {' x '.join(map(str, shape))} | {MEANINGS[name]} |"
+        about = (
+            f"# {self.name}\n\n{self.episodes} episodes of {self.task} with {self.n_agents} agents, from "
+            f"xmarl-bench {self.harness_version}, seed {self.seed}.\n\n"
+        )
+        rows = [
+            (f"`{name}`", dtype, " x ".join(map(str, shape)), MEANINGS[name])
             for name, (dtype, shape) in arrays.items()
         ]
-        return "\n".join(lines) + "\n"
+        return about + markdown_table(("array", "dtype", "shape", "meaning"), rows)

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from jinja2 import Environment, StrictUndefined
 
 from xmarl_bench.counted import counted
 from xmarl_bench.entry.protocol import PROTOCOL
@@ -33,6 +32,7 @@ from xmarl_bench.papers.kailas2025.tables import (
     performance_table,
 )
 from xmarl_bench.records.files import write_atomically, write_json
+from xmarl_bench.records.markdown import from_template, markdown_table
 from xmarl_bench.rollout.cell import Sampling
 
 Json = dict[str, Any]
@@ -64,10 +64,6 @@ def findings_of(results: Json) -> Json:
 
 def page_of(findings: list[Json]) -> str:
     """The Markdown page of the studies."""
-    environment = Environment(
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
-    )
-    environment.filters.update(sentence=sentence, numbers=numbers)
     studies = [
         {
             **each,
@@ -84,7 +80,9 @@ def page_of(findings: list[Json]) -> str:
         }
         for each in findings
     ]
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    return from_template(
+        TEMPLATE,
+        {"sentence": sentence, "numbers": numbers},
         studies=studies,
         not_run=[
             study for study in STUDIES.values() if study.name not in {each["study"] for each in findings}
@@ -119,10 +117,8 @@ def survival(findings: Json) -> list[Json]:
 
 def headlines(findings: Json) -> str:
     """The main conclusions as a Markdown table."""
-    lines = [
-        "| conclusion | cell by cell | over all policies | through other explainers and metrics |",
-        "|---|---|---|---|",
-    ]
+    header = "conclusion", "cell by cell", "over all policies", "through other explainers and metrics"
+    rows = []
     for claim in findings["ledger"]:
         if claim["id"] in HEADLINES:
             seen = through_lenses(findings, claim)
@@ -132,9 +128,9 @@ def headlines(findings: Json) -> str:
                 for key, word in (("reversed", "reversed"), ("open", "not decided"))
                 if seen[key]
             ]
-            cells = claim["text"], f"**{claim['verdict']}**", over_all(claim), "; ".join(parts) or "-"
-            lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+            verdict = f"**{claim['verdict']}**"
+            rows.append((claim["text"], verdict, over_all(claim), "; ".join(parts) or "-"))
+    return markdown_table(header, rows).rstrip()
 
 
 def over_all(claim: Json) -> str:

@@ -10,6 +10,7 @@ from xmarl_bench.metrics.table import METRICS
 from xmarl_bench.papers.kailas2025.claims import ORIENTATION
 from xmarl_bench.papers.kailas2025.ledger import Verdict
 from xmarl_bench.papers.kailas2025.results import QUALITY
+from xmarl_bench.records.markdown import markdown_table
 
 Json = dict[str, Any]
 METRIC_NAMES = {metric.name: metric.title for metric in METRICS}
@@ -29,8 +30,7 @@ class Table:
     n_names: int
 
     def markdown(self) -> str:
-        lines = [_line(self.header), _line(["---"] * self.n_names + ["--:"] * self._numbers)]
-        return "\n".join([*lines, *(_line(row) for row in self.rows)]) + "\n"
+        return markdown_table(self.header, self.rows, self._numbers)
 
     def latex(self) -> str:
         """As LaTeX, with the package booktabs."""
@@ -197,10 +197,6 @@ def _spread(record: Json | None) -> str:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:+.2f}"
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 def _capital(text: str) -> str:

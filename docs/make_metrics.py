@@ -58,7 +58,7 @@ Row = dict[str, float]
 def measure(folder: Path) -> tuple[str, dict[str, Row]]:
     """A policy's task, and for each mask, the oracle last, its metrics averaged over episodes."""
     policy, card = load_policy(folder)
-    rows: dict[str, list[Row]] = defaultdict(list)
+    rows: dict[str, list[list[float | None]]] = defaultdict(list)
     with one_thread():
         seeds = episode_seeds(0, EPISODES)
         reference = reference_states(policy, card.task, card.n_agents)
@@ -72,12 +72,11 @@ def measure(folder: Path) -> tuple[str, dict[str, Row]]:
             }
             for name, mask in {**masks, "oracle (binary)": states.oracle_mask}.items():
                 values = states.mask_metrics(mask)
-                rows[name].append({metric: _number(getattr(values, metric)) for metric in METRICS})
+                rows[name].append([getattr(values, metric) for metric in METRICS])
     means = {
-        name: {metric: float(np.nanmean([row[metric] for row in each])) for metric in METRICS}
-        for name, each in rows.items()
+        name: np.nanmean(np.array(each, dtype=np.float64), axis=0).tolist() for name, each in rows.items()
     }
-    return card.task, means
+    return card.task, {name: dict(zip(METRICS, each, strict=True)) for name, each in means.items()}
 
 
 def table(measured: dict[str, list[dict[str, Row]]]) -> str:
@@ -137,10 +136,6 @@ def _bars(
 def heading(name: str) -> str:
     metric = table_of_metrics.by_name()[name]
     return metric.heading or metric.title
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
 
 
 def main() -> None:

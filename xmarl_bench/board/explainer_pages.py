@@ -39,7 +39,7 @@ def explainers_of(board: Json, details: Mapping[str, Details], cards: Json) -> d
                 of["rows"].append({"table": table, "policy": policy, "row": row})
     terms = regulariser_of(families_of(_tables(board, scopes[0]))) if scopes else {}
     for name, each in found.items():
-        each["rankings"] = [(s, r) for s in scopes if (r := ranking_of(board, s)) and _ranks(r, name)]
+        each["rankings"] = [(s, r) for s in scopes if _ranks(r := ranking_of(board, s), name)]
         each["term"] = terms.get(name)
         planted = (each["card"] or {}).get("planted") or {}
         each["missed"] = sorted((value, family) for family, value in planted.items() if value < MISSED)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,18 +66,18 @@ def _ranking(pairs: Sequence[Scored]) -> Json:
         for _, group in compared
     ]
     ranked = [
-        _ranking_row(name, rows[name], compared, False, place)
+        _ranking_row(name, rows[name], compared, place)
         | {"above": {c: _above(rows[name], [of.get(c) for of in control_rows], design) for c in BEATEN}}
         for name, place in zip(names, found, strict=True)
     ]
     partial = sorted({name for each in by_name for name in each} - set(names))
     unranked = [
-        _row_where(name, by_name, pairs, False)
+        _row_where(name, by_name, pairs)
         | {"reason": f"scored on {sum(name in each for each in by_name)} of {len(by_name)} policies"}
         for name in partial
     ]
     _, controls = complete_part({k: list(each) for k, each in enumerate(control_rows)})
-    ranked_controls = [_row_where(name, control_rows, compared, True) for name in controls]
+    ranked_controls = [_row_where(name, control_rows, compared) for name in controls]
     return {
         "policies": [
             {"name": group.policy["name"], "task": scope["task"], "n_agents": scope["n_agents"],
@@ -132,28 +133,23 @@ def _lead(
     return {"over": names[beaten[0]], "difference": lead.value, "interval": lead.interval}
 
 
-def _row_where(
-    name: str, by_name: Sequence[Mapping[str, Json]], pairs: Sequence[Scored], control: bool
-) -> Json:
+def _row_where(name: str, by_name: Sequence[Mapping[str, Json]], pairs: Sequence[Scored]) -> Json:
     """The row of an explainer over the policies that have it."""
     having = [k for k, each in enumerate(by_name) if name in each]
-    return _ranking_row(name, [by_name[k][name] for k in having], [pairs[k] for k in having], control)
+    return _ranking_row(name, [by_name[k][name] for k in having], [pairs[k] for k in having])
 
 
 def _ranking_row(
-    name: str, rows: Sequence[Json], pairs: Sequence[Scored], control: bool, place: Place | None = None
+    name: str, rows: Sequence[Json], pairs: Sequence[Scored], place: Place | None = None
 ) -> Json:
     values, design = np.round(values_of(rows), DIGITS), _design(pairs)
     return {
         "explainer": name,
-        "control": control,
-        "rank": None if place is None else place.rank,
-        "rank_interval": None if place is None else place.rank_interval,
-        "tie_group": None if place is None else place.tie_group,
+        "control": rows[0]["control"],
+        **(dict.fromkeys(each.name for each in fields(Place)) if place is None else asdict(place)),
         "value": round(_mean(values_of(rows), design), DIGITS),
         "iqm": round(interquartile_mean(values), DIGITS),
         "values": values.tolist(),
-        "interval": None if place is None else place.interval,
         "n_policies": len(rows),
         "cost": None if None in (costs := [row["cost"] for row in rows]) else float(np.mean(costs)),
         "submitters": sorted({row["submitter"] or "" for row in rows}),

@@ -73,10 +73,12 @@ def scopes_of(board: Json) -> list[list[Scope]]:
     return scopes
 
 
-def ranking_of(board: Json, scope: Scope) -> Json | None:
+def ranking_of(board: Json, scope: Scope) -> Json:
+    """The ranking of a scope; an empty one if nothing is ranked there."""
     wanted = (scope.protocol, scope.oracle, scope.task, scope.n_agents)
     keys = ("protocol", "oracle", "task", "n_agents")
-    return next((r for r in board["rankings"] if tuple(r[key] for key in keys) == wanted), None)
+    nothing: Json = {"rows": [], "policies": [], "n_cells": 0, "n_trainings": 0}
+    return next((r for r in board["rankings"] if tuple(r[key] for key in keys) == wanted), nothing)
 
 
 def context_of(
@@ -85,14 +87,14 @@ def context_of(
     """What the page of a scope shows. scopes: all of its view."""
     ranking = ranking_of(board, scope)
     tables = [table for table in board["tables"] if scope.holds(table)]
-    rows = [] if ranking is None else ranking["rows"]
+    rows = ranking["rows"]
     ranked = [row for row in rows if row["rank"] is not None]
     return {
         "scope": scope,
         "answer": answer_of(ranking),
-        "n_policies": 0 if ranking is None else len(ranking["policies"]),
-        "n_cells": 0 if ranking is None else ranking["n_cells"],
-        "n_trainings": 0 if ranking is None else ranking["n_trainings"],
+        "n_policies": len(ranking["policies"]),
+        "n_cells": ranking["n_cells"],
+        "n_trainings": ranking["n_trainings"],
         "groups": [
             ("", ranked),
             ("not ranked", [row for row in rows if row["rank"] is None and not row["control"]]),
@@ -130,10 +132,7 @@ def heatmap_of(board: Json, scope: Scope, scopes: Sequence[Scope], rows: Sequenc
     """Values of each explainer in every cell of the scope. A cell without a ranking is None."""
     cells = [s for s in scopes if s.n_agents and scope.task in (None, s.task)]
     tasks = [s for s in scopes if s.task and not s.n_agents and scope.task in (None, s.task)]
-    found = {
-        c.path: {row["explainer"]: row for row in (ranking_of(board, c) or {"rows": []})["rows"]}
-        for c in cells
-    }
+    found = {c.path: {row["explainer"]: row for row in ranking_of(board, c)["rows"]} for c in cells}
     shown = [row for row in rows if not row["control"] or row["explainer"] in (NEAREST, RANDOM)]
     names = [row["explainer"] for row in shown]
     names += sorted(
@@ -166,10 +165,8 @@ def scatter_of(rows: Sequence[Json]) -> Json:
 
 def profile_of(ranked: Sequence[Json]) -> Json:
     """Performance profiles: for every score, the share of policies above it."""
-    x, y = (
-        axis_of([value for row in ranked for value in row["values"]], around=(0.0, 1.0)),
-        axis_of([], around=(0.0, 1.0)),
-    )
+    x = axis_of([value for row in ranked for value in row["values"]], around=(0.0, 1.0))
+    y = axis_of([], around=(0.0, 1.0))
     lines = []
     for k, row in enumerate(ranked):
         profile = performance_profile(row["values"])

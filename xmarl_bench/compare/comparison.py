@@ -142,6 +142,5 @@ def _values(blocks: Blocks, explainer: str, metric: str) -> list[Floats]:
                 f"{metric} was not measured for {named(explainer, states)} ({cell.not_measured[metric]}): "
                 f"choose another metric, or leave that entry out."
             )
-        rows = [getattr(row, metric) for row in cell.episodes]
-        found.append(np.array([np.nan if value is None else value for value in rows], dtype=np.float64))
+        found.append(np.array([getattr(row, metric) for row in cell.episodes], dtype=np.float64))
     return found

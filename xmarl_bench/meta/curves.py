@@ -127,7 +127,8 @@ def _steps(states: States, right: Tensor, form: Form, rng: np.random.Generator) 
     rows = []
     for step, noise in enumerate(NOISE):
         row = states.mask_metrics(in_form(degraded(right, noise, rng), form, step))
-        rows.append({name: _number(getattr(row, name)) for name in METRICS})
+        values = np.array([getattr(row, name) for name in METRICS], dtype=np.float64)  # NaN for None
+        rows.append(dict(zip(METRICS, values.tolist(), strict=True)))
     return rows
 
 
@@ -137,7 +138,3 @@ def _without(row: Mapping[str, float], right: Absence, metric: str) -> float:
         return row[metric]
     others = [row[name] for name, model in MODEL_OF.items() if model is not right]
     return over_absences(others)[OVER_ABSENCES.index(metric)]
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_bench.checks import run_checks
@@ -44,7 +45,7 @@ def degenerate_scores(
     policy: Policy, card: PolicyCard, other: Policy, *, episodes: int = 5, seed: int = 0
 ) -> list[Degenerate]:
     """Every kind, on every timestep of the policy's scoring episodes. other: a policy to copy from."""
-    values: dict[str, list[list[float]]] = {}
+    values: dict[str, list[NDArray[np.float64]]] = {}
     kinds = kinds_of(other)
     observations: list[Tensor] = []
     with one_thread():
@@ -52,14 +53,20 @@ def degenerate_scores(
             observations.append(states.observations)
             for name, explain in kinds.items():
                 row = states.mask_metrics(explain(policy, states.observations, torch.Generator()))
-                each = [getattr(row, metric) for metric in METRICS]
-                values.setdefault(name, []).append([np.nan if x is None else x for x in each])
+                each = np.array([getattr(row, metric) for metric in METRICS], dtype=np.float64)
+                values.setdefault(name, []).append(each)
         spread = torch.cat([x[:: max(1, len(x) // 6)] for x in observations])
         return [
             Degenerate(
                 card.name,
                 name,
-                dict(zip(METRICS, np.nanmean(values[name], axis=0).tolist(), strict=True)),
+                dict(
+                    zip(
+                        METRICS,
+                        np.nanmean(values[name], axis=0).tolist(),
+                        strict=True,
+                    )
+                ),
                 failed_checks(explain, policy, spread),
             )
             for name, explain in kinds.items()

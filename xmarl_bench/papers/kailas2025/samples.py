@@ -8,7 +8,7 @@ episode: scoring starts all policies from the same states.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -105,7 +105,7 @@ class Samples:
         (cell,) = entry.results
         place = Place(cell.task, card.n_agents, cell.n_agents - card.n_agents, percent_of(card))
         run = run_of(card)
-        rows = {name: np.array([_number(getattr(row, name)) for row in cell.episodes]) for name in KEPT}
+        rows = {name: _floats([getattr(row, name) for row in cell.episodes]) for name in KEPT}
         known = self.scored.setdefault((place, entry.explainer.name), {})
         assert run not in known, card.name
         known[run] = rows
@@ -113,10 +113,7 @@ class Samples:
             if name == INVERTED:
                 continue
             summaries = {metric: getattr(metrics, metric, None) for metric in KEPT}
-            means = {
-                metric: np.array([np.nan if each is None else _number(each.value)])
-                for metric, each in summaries.items()
-            }
+            means = {metric: _floats([each and each.value]) for metric, each in summaries.items()}
             known = self.scored.setdefault((place, name), {})
             known.setdefault(run, means)
 
@@ -190,8 +187,9 @@ def _side(side: Side, values: dict[Term, Floats]) -> Floats:
     return value if side.minus is None else value - values[side.minus]
 
 
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
+def _floats(values: Sequence[float | None]) -> Floats:
+    """NaN for None."""
+    return np.array(values, dtype=np.float64)
 
 
 def _mean(values: Floats) -> float:

@@ -35,9 +35,9 @@ class Axis:
         return [round(step * k, 9) for k in range(first, math.floor(self.high / step + 1e-9) + 1)]
 
 
-def axis_of(values: Iterable[float | None], *, least: float = LEAST, around: Sequence[float] = ()) -> Axis:
+def axis_of(values: Iterable[float | None], *, around: Sequence[float] = ()) -> Axis:
     """The axis of all values, with those of `around` inside of it and a little room at both ends."""
-    numbers = [max(least, value) for value in values if value is not None] + list(around)
+    numbers = [max(LEAST, value) for value in values if value is not None] + list(around)
     low, high = (min(numbers), max(numbers)) if numbers else (0.0, 1.0)
     room = 0.03 * (high - low) or 0.5
     return Axis(low - room, high + room)

@@ -11,7 +11,7 @@ from pathlib import Path
 from xmarl_bench.cli.tables import Row
 from xmarl_bench.errors import InputError
 
-_POLICY_COLUMNS = ("name", "task", "n_agents", "attention_entropy", "training_seed", "success", "code")
+_OF_CARD = ("task", "n_agents", "attention_entropy", "training_seed")
 
 
 def tasks() -> list[Row]:
@@ -50,7 +50,7 @@ def policies() -> tuple[list[Row], list[InputError]]:
     rows: list[Row] = []
     for name, place in found.items():
         if not isinstance(place, Path):
-            rows.append({**dict.fromkeys(_POLICY_COLUMNS), "name": name, "code": str(place)})
+            rows.append({"name": name, **dict.fromkeys((*_OF_CARD, "success")), "code": str(place)})
             continue
         try:
             card = load_card(place)
@@ -58,17 +58,9 @@ def policies() -> tuple[list[Row], list[InputError]]:
             failures.append(error)
             continue
         measured = card.performance.get("with_messages", {})
-        rows.append(
-            {
-                "name": name,
-                "task": card.task,
-                "n_agents": card.n_agents,
-                "attention_entropy": card.attention_entropy,
-                "training_seed": card.training_seed,
-                "success": measured.get(SUCCESS) if isinstance(measured, dict) else None,
-                "code": None,
-            }
-        )
+        success = measured.get(SUCCESS) if isinstance(measured, dict) else None
+        declared = {column: getattr(card, column) for column in _OF_CARD}
+        rows.append({"name": name, **declared, "success": success, "code": None})
     return rows, failures
 
 

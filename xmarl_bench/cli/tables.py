@@ -29,12 +29,12 @@ def print_json(value: Any) -> None:
     print(json.dumps(value, indent=2, allow_nan=False))
 
 
-def log_progress(outcomes: Iterator[Outcome], total: int, every: float = 20.0) -> Iterator[Outcome]:
-    """Yield the outcomes. Without a terminal, print a line on stderr about every so many seconds."""
+def log_progress(outcomes: Iterator[Outcome], total: int) -> Iterator[Outcome]:
+    """Yield the outcomes. Without a terminal, print a line on stderr about every 20 seconds."""
     started = last = time.monotonic()
     for done, outcome in enumerate(outcomes, start=1):
         now = time.monotonic()
-        if now - last > every and not sys.stderr.isatty():
+        if now - last > 20.0 and not sys.stderr.isatty():
             last, minutes = now, (now - started) / 60
             print(f"{done} of {total} scored after {minutes:.1f} min.", file=sys.stderr, flush=True)
         yield outcome

@@ -216,13 +216,9 @@ def _policy_findings(checked: Checked, name: str) -> Iterator[str]:
         return
     for file, entry in checked.entries.items():
         if entry.policy.name == name:  # the folder's name: a card may hold another
-            yield from _record_findings(entry, file, card)
-
-
-def _record_findings(entry: Entry, file: str, card: PolicyCard) -> Iterator[str]:
-    for key in PolicyRecord.model_fields:
-        if hasattr(card, key) and getattr(card, key) != getattr(entry.policy, key):
-            yield f"its {key} disagrees with policy.{key} of {file}."
+            for key in PolicyRecord.model_fields:
+                if hasattr(card, key) and getattr(card, key) != getattr(entry.policy, key):
+                    yield f"its {key} disagrees with policy.{key} of {file}."
 
 
 def _name_findings(entry: Entry, name: str, checked: Checked) -> Iterator[str]:

@@ -142,12 +142,13 @@ def _row_findings(entry: Entry, cell: CellResult, row: EpisodeRow, k: int) -> It
             yield from _budget_findings(row, prefix, budget, n - 1 if prefix else n)
     yield from _over_absences(row)
     absent = [name for name in cell.not_measured if getattr(row, name, None) is not None]
-    if k >= cell.behaviour_episodes:
-        absent += [name for name in BEHAVIOUR if getattr(row, name) is not None]
-    if k >= (cell.absence_behaviour_episodes or 0):
-        absent += [name for name in BEHAVIOUR_UNDER if getattr(row, name) is not None]
-    if k >= SANITY_EPISODES:
-        absent += [name for name in SANITY if getattr(row, name) is not None]
+    for names, episodes in (
+        (BEHAVIOUR, cell.behaviour_episodes),
+        (BEHAVIOUR_UNDER, cell.absence_behaviour_episodes or 0),
+        (SANITY, SANITY_EPISODES),
+    ):
+        if k >= episodes:
+            absent += [name for name in names if getattr(row, name) is not None]
     if absent:
         yield f"{absent[0]} has a value but was not measured."
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 from xmarl_bench.metrics.table import Group, names_of
@@ -22,26 +23,21 @@ def reported(cell: Cell) -> Performance | None:
 def performance(samples: Samples, cells: tuple[Cell, ...]) -> list[dict[str, Any]]:
     """Records over the episodes of all training runs: per cell and measure, without and with the term."""
     records: list[dict[str, Any]] = []
-    for cell in cells:
-        paper = reported(cell) or {}
-        for measure in names_of(Group.TASK):
-            for regularised in (False, True):
-                runs = samples.runs(cell, Term(ATTENTION), regularised)
-                x = pooled(runs, measure)
-                theirs = paper.get(measure)
-                if theirs is None and not x.size:
-                    continue
-                pair = None if theirs is None else theirs[regularised]
-                records.append(
-                    {
-                        "cell": cell.label,
-                        "measure": measure,
-                        "regularised": regularised,
-                        "mean": float(x.mean()) if x.size else None,
-                        "std": float(x.std()) if x.size else None,
-                        "n_policies": len(runs),
-                        "n_episodes": int(x.size),
-                        "paper": None if pair is None else {"mean": pair.mean, "std": pair.std},
-                    }
-                )
+    for cell, measure, regularised in product(cells, names_of(Group.TASK), (False, True)):
+        runs = samples.runs(cell, Term(ATTENTION), regularised)
+        x = pooled(runs, measure)
+        pair = (reported(cell) or {}).get(measure)
+        if pair is not None or x.size:
+            records.append(
+                {
+                    "cell": cell.label,
+                    "measure": measure,
+                    "regularised": regularised,
+                    "mean": float(x.mean()) if x.size else None,
+                    "std": float(x.std()) if x.size else None,
+                    "n_policies": len(runs),
+                    "n_episodes": x.size,
+                    "paper": None if pair is None else pair[regularised]._asdict(),
+                }
+            )
     return records

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -74,37 +75,33 @@ def results_of(data: StudyData) -> Json:
 def quality(data: StudyData) -> list[Json]:
     """Means of metrics over policies, with intervals, by cell, without or with the term, and by explainer."""
     records = []
-    for cell in data.study.cells:
-        for regularised in (False, True):
-            for explainer in data.explainers:
-                runs = data.samples.runs(cell, Term(explainer), regularised)
-                for metric in QUALITY:
-                    blocks = [each[metric][~np.isnan(each[metric])] for each in runs.values()]
-                    means = np.array([x.mean() for x in blocks if x.size])
-                    if not means.size:
-                        continue
-                    records.append(
-                        {
-                            "cell": cell.label,
-                            "regularised": regularised,
-                            "explainer": explainer,
-                            "metric": metric,
-                            "mean": float(np.mean(means)),
-                            "interval": interval_of(means),
-                            "n_policies": means.size,
-                        }
-                    )
+    for cell, regularised, explainer in product(data.study.cells, (False, True), data.explainers):
+        runs = data.samples.runs(cell, Term(explainer), regularised)
+        for metric in QUALITY:
+            blocks = [each[metric][~np.isnan(each[metric])] for each in runs.values()]
+            means = np.array([x.mean() for x in blocks if x.size])
+            if means.size:
+                records.append(
+                    {
+                        "cell": cell.label,
+                        "regularised": regularised,
+                        "explainer": explainer,
+                        "metric": metric,
+                        "mean": float(np.mean(means)),
+                        "interval": interval_of(means),
+                        "n_policies": means.size,
+                    }
+                )
     return records
 
 
 def missing(data: StudyData) -> list[str]:
     """Cells without a policy."""
-    absent = []
-    for cell in data.study.cells:
-        for regularised in (False, True):
-            if not data.samples.runs(cell, Term(data.explainers[0]), regularised):
-                absent.append(f"{cell.label}, {'with' if regularised else 'without'} the term")
-    return absent
+    return [
+        f"{cell.label}, {'with' if regularised else 'without'} the term"
+        for cell, regularised in product(data.study.cells, (False, True))
+        if not data.samples.runs(cell, Term(data.explainers[0]), regularised)
+    ]
 
 
 def _explainers(data: StudyData) -> Json:

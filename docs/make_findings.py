@@ -58,11 +58,22 @@ def task_metric(policy: dict[str, Any], metric: str) -> float | None:
     return None if summary is None else summary["value"]
 
 
-def dots(axis: Axes, scores: Scores, name: str, y: int, colour: str) -> None:
-    """A line of the picture: a dot for each policy, and a bar at the mean."""
-    values = scores.of_policies(ORDER, name)
-    axis.plot(values, [y] * len(values), "o", color=colour, alpha=0.35, markersize=4, markeredgewidth=0)
-    axis.plot(scores.mean(ORDER, name), y, "|", color=colour, markersize=13, markeredgewidth=2.5)
+def dots(axis: Axes, scores: Scores, names: Sequence[str]) -> None:
+    """A line for each name: a dot for each policy, and a bar at the mean; controls are grey."""
+    for y, name in enumerate(names):
+        values, colour = scores.of_policies(ORDER, name), GREY if name in CONTROLS else BLUE
+        axis.plot(values, [y] * len(values), "o", color=colour, alpha=0.35, markersize=4, markeredgewidth=0)
+        axis.plot(scores.mean(ORDER, name), y, "|", color=colour, markersize=13, markeredgewidth=2.5)
+    axis.set_yticks(range(len(names)), names, fontsize=8)
+    axis.axvline(0, color="black", linewidth=0.6)
+    axis.set_xlabel("message fidelity: a dot for each policy, a bar for their mean")
+
+
+def legend_above(axis: Axes, n_columns: int) -> None:
+    """One entry for each label, above the axes."""
+    labels = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    place: Any = {"loc": "lower left", "bbox_to_anchor": (0, 1), "frameon": False}
+    axis.legend(labels.values(), labels, fontsize=8, ncols=n_columns, **place)
 
 
 @dataclass(frozen=True)
@@ -79,12 +90,8 @@ def who_leads(scores: Scores) -> Finding:
     text = " ".join(answer_of(scores.ranking))
 
     def draw(axis: Axes) -> None:
-        names = [*CONTROLS, *reversed(scores.explainers)]
-        for y, name in enumerate(names):
-            dots(axis, scores, name, y, GREY if name in CONTROLS else BLUE)
-        axis.set_yticks(range(len(names)), names, fontsize=8)
-        axis.axvline(0, color="black", linewidth=0.6)
-        axis.set_xlabel("message fidelity: a dot for each policy, a bar for their mean; controls are grey")
+        dots(axis, scores, [*CONTROLS, *reversed(scores.explainers)])
+        axis.set_xlabel(f"{axis.get_xlabel()}; controls are grey")
 
     title = "Several explainers lead, and none leads surely" if others else f"{best} leads surely"
     return Finding("leaders", title, text, draw, "Message fidelity of every explainer and four controls")
@@ -141,7 +148,7 @@ def absence_decides(scores: Scores) -> Finding:
             axis.plot(values, f"o{dash}", color=colour, label=name if name in styles else None)
         axis.set_xticks(range(len(MODEL_OF)), list(MODEL_OF.values()))
         axis.set_ylabel("budgeted fidelity")
-        axis.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
+        legend_above(axis, 4)
 
     several = "What stands in for a missing message decides who is first"
     title = several if len(set(first.values())) > 1 else f"{said} is first under all absence models"
@@ -169,7 +176,7 @@ def attention_is_learnt(scores: Scores) -> Finding:
         axis.set_xticks(list(at.values()), list(at), rotation=90, fontsize=7)
         axis.axhline(0, color="black", linewidth=0.6)
         axis.set_ylabel("message fidelity")
-        axis.legend(fontsize=8, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
+        legend_above(axis, 3)
 
     titles = "Attention tells what training put there", "Training makes attention worse"
     title = more(before, *titles, "Attention may be our initialisation")
@@ -191,11 +198,7 @@ def defaults_fail(scores: Scores) -> Finding:
 
     def draw(axis: Axes) -> None:
         names = ["random", "graphmask-messages", "graphmask", "gnn_explainer-tuned", "gnn_explainer"]
-        for y, name in enumerate(names):
-            dots(axis, scores, name, y, GREY if name == "random" else BLUE)
-        axis.set_yticks(range(len(names)), names, fontsize=8)
-        axis.axvline(0, color="black", linewidth=0.6)
-        axis.set_xlabel("message fidelity: a dot for each policy, a bar for their mean")
+        dots(axis, scores, names)
 
     title = f"GNNExplainer's defaults are {compared.replace('a random mask', 'chance')}"
     return Finding("defaults", title, text, draw, "GNNExplainer and GraphMask in several forms")
@@ -220,10 +223,7 @@ def regulariser(scores: Scores) -> Finding:
             axis.plot(each, f"{marker}-", color=colour, label=task)
         axis.set_xticks([0, 1], ["without the term", "with it"])
         axis.set_xlim(-0.2, 1.2)
-        named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
-        axis.legend(
-            named.values(), named, fontsize=8, ncols=3, loc="lower left", bbox_to_anchor=(0, 1), frameon=False
-        )
+        legend_above(axis, 3)
         axis.set_ylabel("message fidelity of attention")
 
     effect = "may or may not change" if gain is None else effect_of(gain)

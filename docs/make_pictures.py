@@ -9,7 +9,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from xmarl_baselines.policies import shipped_policies
 from xmarl_envs import TASKS, make_task
@@ -39,10 +38,9 @@ CELL, EXPLAINER = ("blind_discovery_v0", 3), "attention"  # its default policy w
 def moment(recording: Recording, cycle: int, explainer: Explainer | None = None) -> Image.Image:
     """The picture after `cycle` steps."""
     track = recording.track
-    reach = float(np.abs(track.scene().track).max()) + recording.scenery.radius
     mask = None if explainer is None else recording.explain(explainer, range(track.cycles))[cycle]
     title = "" if explainer is None else f"{recording.team}, {explainer.name}"
-    picture = Renderer(recording.scenery, reach=reach).draw(track.scene(cycle), mask, title)
+    picture = Renderer(recording.scenery, reach=recording.reach).draw(track.scene(cycle), mask, title)
     assert picture is not None
     return Image.fromarray(picture).resize(PANEL, Image.Resampling.LANCZOS)
 

@@ -194,18 +194,11 @@ def _obsolete(folder: Path, made: Derived) -> list[Path]:
     return sorted(
         [
             *folder.glob(f".*{STAGED}"),
-            *(path for path in _listed(folder / PAGES) if f"{PAGES}/{path.name}" not in made.files),
-            *(path for path in _listed(folder / ANIMATIONS) if path.name not in made.animations),
+            *(path for path in (folder / PAGES).glob("*") if f"{PAGES}/{path.name}" not in made.files),
+            *(path for path in (folder / ANIMATIONS).glob("*") if path.name not in made.animations),
         ]
     )
 
 
-def _listed(folder: Path) -> list[Path]:
-    return list(folder.iterdir()) if folder.is_dir() else []
-
-
 def _bytes(path: Path) -> bytes | None:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        return None
+    return path.read_bytes() if path.exists() else None

@@ -29,10 +29,7 @@ Picture = NDArray[np.uint8]
 GIF_FRAMES = 120  # at most; of longer episodes every second, third, ... step
 GIF_BYTES = 2_000_000  # at most; frames are dropped until it fits
 GIF_COLOURS = 96
-FILM_ROWS, FILM_COLUMNS = (
-    4,
-    6,
-)  # of an avif: its pictures are those of a film, which a page plays and steps through
+FILM_ROWS, FILM_COLUMNS = 4, 6  # of an avif: pictures of a film, which a page plays and steps through
 LAST_FRAME = 1500  # ms, to show the end
 SHEET_PANELS, SHEET_COLUMNS = 6, 3
 PANEL_WIDTH = 480  # pixels
@@ -79,16 +76,12 @@ def write_animation(
     about = f"{recording.task.name}, {recording.team}"
     titles = [f"{about}, {explainer.name}" for explainer in explainers] or [about]
     masks = [_explain(recording, explainer, cycles, progress) for explainer in explainers] or [{}]
-    renderer = Renderer(recording.scenery, reach=_reach(recording), key=bool(explainers))
-
-    def drawn(cycle: int) -> Iterator[Picture]:
-        for title, of_cycle in zip(titles, masks, strict=True):
-            picture = renderer.draw(recording.track.scene(cycle), of_cycle.get(cycle), title)
-            assert picture is not None  # None only if it is shown in a window
-            yield picture
+    renderer = Renderer(recording.scenery, reach=recording.reach, key=bool(explainers))
 
     def draw(cycle: int) -> Picture:
-        return np.hstack(list(drawn(cycle)))
+        scene, pairs = recording.track.scene(cycle), zip(titles, masks, strict=True)
+        pictures = [renderer.draw(scene, of_cycle.get(cycle), title) for title, of_cycle in pairs]
+        return np.hstack([each for each in pictures if each is not None])  # None: shown in a window
 
     frames, data = encode(in_order(draw, cycles, progress="draw" if progress else None), cycles)
     write_atomically(path, data)
@@ -122,11 +115,6 @@ def _explain(
     console = Console(stderr=True, quiet=not progress)
     with console.status(f"{explainer.name} explains {counted(len(explained), 'step')}"):
         return dict(zip(explained, recording.explain(explainer, explained), strict=True))
-
-
-def _reach(recording: Recording) -> float:
-    """The scale of all pictures, that of the last one."""
-    return float(np.abs(recording.track.scene().track).max()) + recording.scenery.radius
 
 
 def _gif(drawn: Iterator[Picture], cycles: Sequence[int]) -> tuple[int, bytes]:

@@ -45,6 +45,11 @@ class Recording:
     observations: Floats  # (T, N, D + H), before each action: what agents saw and remembered
     success_rate: float  # as in `Episode`
 
+    @property
+    def reach(self) -> float:
+        """The scale of all pictures, that of the last one."""
+        return float(np.abs(self.track.scene().track).max()) + self.scenery.radius
+
     def explain(self, explainer: Explainer, cycles: Sequence[int]) -> NDArray[np.float32]:
         """(S, N, N): masks of the chosen steps; the same as in scoring if all steps are chosen.
 

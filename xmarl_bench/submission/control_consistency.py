@@ -35,9 +35,8 @@ RANGES: dict[str, TypeAdapter[float | None]] = {
 
 # (control, metric, its value): 0, 1, or a metric of the explainer. Each follows from the mask.
 IDENTITIES: tuple[tuple[str, str, float | str], ...] = (
-    *(
-        (name, metric, 0.0) for name in ("all-ones", "zeros", "self") for metric in UNDER_ABSENCES
-    ),  # no ranking
+    # These rank nothing.
+    *((name, metric, 0.0) for name in ("all-ones", "zeros", "self") for metric in UNDER_ABSENCES),
     ("all-ones", "budgeted_fidelity", 0.0),
     ("zeros", "budgeted_fidelity", 0.0),
     ("all-ones", "fid_minus", 0.0),
@@ -68,13 +67,9 @@ def control_findings(cell: CellResult) -> Iterator[str]:
     for name, control in cell.controls.items():
         for finding in _summaries_findings(cell, name, control):
             yield f"controls.{name}: {finding}"
-    for name, metric, expected_value in IDENTITIES:
+    for name, metric, given in IDENTITIES:
         value = _mean(getattr(cell.controls[name], metric))
-        other = (
-            _mean(getattr(cell.metrics, expected_value))
-            if isinstance(expected_value, str)
-            else expected_value
-        )
+        other = _mean(getattr(cell.metrics, given)) if isinstance(given, str) else given
         if value is not None and other is not None and abs(value - other) > ALIKE:
             yield f"controls.{name}: {metric} is {value}, but must be {other} for that mask."
     best = _mean(cell.controls[ORACLE].fid_delta) if ORACLE in cell.controls else None

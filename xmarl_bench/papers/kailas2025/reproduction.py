@@ -153,7 +153,8 @@ def numbers(claim: Json) -> str:
     """The number of cells of each verdict, and the decisive comparison over all policies."""
     counts, shown = claim["counts"], decisive(claim)
     n = sum(counts.values())
-    parts = [f"{counts[verdict]} {word}" for verdict, word in _COUNTED if counts[verdict]]
+    words = {verdict: "the reverse" if verdict is Verdict.NOT_HELD else verdict for verdict in Verdict}
+    parts = [f"{counts[verdict]} {word}" for verdict, word in words.items() if counts[verdict]]
     text = f"of {counted(n, 'cell')} {', '.join(parts)}"
     if shown["difference"] is None:
         return text
@@ -161,12 +162,6 @@ def numbers(claim: Json) -> str:
         f"{text}; {METRIC_NAMES[shown['metric']]}, {shown['compares']}: {difference(shown)}, "
         f"effect {shown['effect']:+.2f}, p {p_value(shown)}, {counted(shown['n_policies'], 'policy')}"
     )
-
-
-_COUNTED = (
-    ("held", "held"), ("not held", "the reverse"), ("not decided", "not decided"),
-    ("not measured", "not measured"),
-)  # fmt: skip
 
 
 def command(findings: Json) -> str:

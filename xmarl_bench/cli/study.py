@@ -52,6 +52,13 @@ def study(
         ),
     ] = [],  # noqa: B006
     figures: Annotated[bool, typer.Option(help="Draw figures; needs the extra 'plots'.")] = True,
+    entries: Annotated[
+        Path | None,
+        typer.Option(
+            help="Judge the entries of this folder, such as leaderboard, with these policies, explainers "
+            "and states. Nothing is scored."
+        ),
+    ] = None,
     seed: Seed = 0,
     jobs: Jobs = None,
     backend: Backend = "loky",
@@ -68,12 +75,13 @@ def study(
     """Reproduce a study of the paper and judge its statements.
 
     Finished pieces are kept in --cache and not computed again. A failure does not stop the rest, and is
-    missing from the study. Exit code 1: something failed.
+    missing from the study, as is what --entries lacks. Exit code 1: something failed or is missing.
     """
     from dataclasses import replace
 
     from xmarl_bench.cli import tables
     from xmarl_bench.counted import counted
+    from xmarl_bench.papers.kailas2025.existing import existing_entries
     from xmarl_bench.papers.kailas2025.figures import check_matplotlib
     from xmarl_bench.papers.kailas2025.output import write_study
     from xmarl_bench.papers.kailas2025.plan import EXPLAINERS, QUICK, STUDIES, plan
@@ -100,23 +108,27 @@ def study(
     Samples.check(request.card for request in requests)
     with locked(folder):
         remove_leftovers(folder)
-        scored = score_requests(
-            requests,
-            workers=workers,
-            progress=True,
-            submitter=submitter,
-            cache=Cache(cache) if isolate else Memory(),
-            fresh=not resume,
-            out=folder,
-        )
-        with tables.says_if_stopped(lambda: "", cache if isolate else None):
-            outcomes = list(tables.log_progress(scored, len(requests)))
+        if entries is not None:
+            outcomes = existing_entries(requests, entries)
+        else:
+            scored = score_requests(
+                requests,
+                workers=workers,
+                progress=True,
+                submitter=submitter,
+                cache=Cache(cache) if isolate else Memory(),
+                fresh=not resume,
+                out=folder,
+            )
+            with tables.says_if_stopped(lambda: "", cache if isolate else None):
+                outcomes = list(tables.log_progress(scored, len(requests)))
         pairs = [
             (request.card, outcome)
             for request, outcome in zip(requests, outcomes, strict=True)
             if not isinstance(outcome, Failed)
         ]
-        data = StudyData(chosen, tuple(explainer.name for explainer in explainers), pairs, Samples.of(pairs))
+        names = tuple(explainer.name for explainer in explainers)
+        data = StudyData(chosen, names, pairs, Samples.of(pairs), existing=entries is not None)
         results = write_study(folder, data, figures=figures)
     verdicts = [claim["verdict"] for claim in results["ledger"]]
     by_verdict = ", ".join(f"{verdicts.count(each)} {each}" for each in sorted(set(verdicts)))

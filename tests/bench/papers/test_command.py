@@ -70,6 +70,31 @@ def test_the_main_study_writes_results(run_cli: RunCli, tmp_path: Path) -> None:
     assert (out / "results.json").read_bytes() == before
 
 
+def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
+    run_cli: RunCli, tmp_path: Path
+) -> None:
+    folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.2)]
+    scored, board, judged = (tmp_path / name for name in ("scored", "board", "judged"))
+    assert run(run_cli, "main", folders, scored, "--no-figures").code == 0
+    explainers = [word for name in plan.EXPLAINERS for word in ("--explainer", name)]
+    options = (*chosen(folders), *explainers, *SMALL, "--no-behaviour", "all")
+    assert run_cli("score", *options, "--out", board).code == 0
+    ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)
+    assert ran.code == 0, ran.err
+    first, second = (json.loads((out / "results.json").read_bytes()) for out in (scored, judged))
+    assert (first.pop("existing"), second.pop("existing")) == (False, True)
+    assert first == second
+    (entry,) = (board / "entries").glob("p0.2.attention.*.json")
+    entry.unlink()
+    ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)
+    assert ran.code == 1
+    assert "attention on p0.2: has no entry with these states" in ran.err
+    copied = next((board / "entries").glob("p0.0.attention.*.json"))
+    (board / "entries" / "copy.json").write_bytes(copied.read_bytes())
+    ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)
+    assert_refused(ran, "have the same policy, explainer and states")
+
+
 def test_the_study_along_training_shows_finished_policies_beside_the_checkpoints(
     run_cli: RunCli, tmp_path: Path
 ) -> None:

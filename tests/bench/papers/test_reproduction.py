@@ -110,8 +110,8 @@ def test_survival_counts_the_lenses(level: float, kind: str) -> None:
 def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     judged = [record(0.3)]
     results = {
-        "schema": SCHEMA, "study": "main", "title": "A title", "families": ["paper"], "policies": [],
-        "missing": ["passage, N = 5"],
+        "schema": SCHEMA, "study": "main", "title": "A title", "existing": False, "families": ["paper"],
+        "policies": [], "missing": ["passage, N = 5"],
         "protocol": {"id": PROTOCOL, "episodes": 4, "timesteps": 3, "seeds": [0, 3]}, "performance": [],
         "ledger": judged, "beyond": [], "lenses": [{"name": "a lens", "text": "seen so", "claims": judged}],
     }  # fmt: skip
@@ -127,6 +127,8 @@ def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     assert "Missing: passage, N = 5." in page
     assert "- Larger teams than in training: navigation: `xmarl-bench study zero-shot`\n\n**How" in page
     assert "xmarl-bench study main --jobs 2 --policy paper --episodes 4 --timesteps 3\n" in page
+    existing = command({**results, "existing": True})
+    assert existing.startswith("xmarl-bench study main --entries leaderboard --policy paper")
     again = {**results, "title": "Another title"}
     (tmp_path / "study" / "results.json").write_text(json.dumps(again))
     (tmp_path / "other").mkdir()

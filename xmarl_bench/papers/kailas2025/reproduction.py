@@ -43,7 +43,7 @@ HEADLINES = [f"main-{name}" for name in (
     "attention-gef", "attention-fid-delta", "graphmask-fid-minus", "graphmask-fid-plus", "graphmask-gef",
     "gnn-mixed", "success", "distance",
 )]  # fmt: skip
-KEPT = ("schema", "study", "title", "protocol", "families", "policies", "missing", "performance")
+KEPT = ("schema", "study", "title", "existing", "protocol", "families", "policies", "missing", "performance")
 CONTRAST = (
     "metric", "relation", "compares", "a_mean", "b_mean", "difference", "interval", "p_adjusted", "effect",
     "n_policies", "n_episodes", "verdict",
@@ -165,14 +165,15 @@ def numbers(claim: Json) -> str:
 
 
 def command(findings: Json) -> str:
-    """The command that scores the same states again."""
+    """The command that scores the same states again, or judges the leaderboard's entries of them."""
     protocol = findings["protocol"]
     # The name of a family means its finished policies.
     finished = all(policy["percent"] is None for policy in findings["policies"])
     options = [f"--policy {family}" for family in findings["families"] if finished]
     options += [f"--episodes {protocol['episodes']}"] if protocol["episodes"] != Sampling.episodes else []
     options += [] if protocol["timesteps"] is None else [f"--timesteps {protocol['timesteps']}"]
-    return " ".join(["xmarl-bench study", findings["study"], "--jobs 2", *options])
+    source = "--entries leaderboard" if findings["existing"] else "--jobs 2"
+    return " ".join(["xmarl-bench study", findings["study"], source, *options])
 
 
 def _of_family(findings: Json) -> list[str]:

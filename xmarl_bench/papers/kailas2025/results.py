@@ -23,7 +23,7 @@ from xmarl_bench.papers.kailas2025.plan import Study
 from xmarl_bench.papers.kailas2025.samples import Samples, percent_of
 from xmarl_bench.policy import PolicyCard
 
-SCHEMA = 2
+SCHEMA = 3
 # Metrics of the tables.
 QUALITY = (
     "fid_delta", "gef", "fid_plus", "fid_minus", "comm_budgeted_fidelity", "budgeted_fidelity",
@@ -40,6 +40,7 @@ class StudyData:
     explainers: tuple[str, ...]
     pairs: Sequence[tuple[PolicyCard, Entry]]
     samples: Samples
+    existing: bool = False  # whether the entries existed before, so that nothing was scored
 
 
 def results_of(data: StudyData) -> Json:
@@ -51,6 +52,7 @@ def results_of(data: StudyData) -> Json:
         "schema": SCHEMA,
         "study": study.name,
         "title": study.title,
+        "existing": data.existing,
         "protocol": {
             "id": protocol.id,
             "episodes": protocol.episodes,

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from xmarl_envs import TASKS
+from xmarl_envs import TASKS, Step
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
@@ -30,7 +30,6 @@ from xmarl_bench.origin.references import (
     origin_of,
 )
 from xmarl_bench.records.field_types import Text
-from xmarl_bench.tasks.interface import ArrayStep
 from xmarl_bench.tasks.sources import (
     NAME,
     TaskSource,
@@ -233,10 +232,10 @@ class AskedEpisodes:
         (observation,) = self._ask("reset", [self._seen], seeds=[int(each) for each in seeds], episodes=which)
         return self._checked(observation)
 
-    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> ArrayStep:
+    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> Step:
         each, told = ("<f8", self.teams), ("?", self.teams[:1])
         kinds = [self._seen, each, told, told, each, each, each]
-        step = ArrayStep(*self._ask("step_task", kinds, action=action, live=live))
+        step = Step(*self._ask("step_task", kinds, action=action, live=live))
         self._checked(step.observation)
         return step
 

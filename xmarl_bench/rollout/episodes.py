@@ -10,13 +10,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from xmarl_envs import Step
 
 from xmarl_bench.metrics.table import Group, Need, metrics_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.teams_apart import step_teams
 from xmarl_bench.reproducible import one_thread, torch_defaults
 from xmarl_bench.rollout.cell import Cell
-from xmarl_bench.tasks.interface import TeamStep, TeamTask
+from xmarl_bench.tasks.interface import TeamTask
 
 Floats = NDArray[np.float32]
 
@@ -200,12 +201,12 @@ class _Recorder:
         self._return = 0.0
         self._agent_collision = self._object_collision = 0.0  # 1: there was one; NaN: the task does not tell
 
-    def add(self, step: TeamStep, slot: int) -> None:
+    def add(self, step: Step, slot: int) -> None:
         self._return += float(step.reward[slot].mean())
         self._agent_collision = float(np.maximum(self._agent_collision, step.agent_collision[slot].max()))
         self._object_collision = float(np.maximum(self._object_collision, step.object_collision[slot].max()))
 
-    def episode(self, last: TeamStep, slot: int) -> Episode:
+    def episode(self, last: Step, slot: int) -> Episode:
         return Episode(
             seed=self.seed,
             observations=np.stack(self.observations),

@@ -50,7 +50,7 @@ def policies() -> tuple[list[Row], list[InputError]]:
     rows: list[Row] = []
     for name, place in found.items():
         if not isinstance(place, Path):
-            rows.append({**dict.fromkeys(_POLICY_COLUMNS), "name": name, "code": str(place)})
+            rows.append({**dict.fromkeys(_POLICY_COLUMNS), "name": name, "code": place.value})
             continue
         try:
             card = load_card(place)

@@ -22,23 +22,16 @@ from xmarl_envs import TASKS, Step
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
 from xmarl_bench.origin.plugins import origin_of_plugin
-from xmarl_bench.origin.references import (
-    Origin,
-    check_named,
-    is_reference,
-    located,
-    origin_of,
-)
+from xmarl_bench.origin.references import Origin, located, origin_of
 from xmarl_bench.records.field_types import Text
 from xmarl_bench.tasks.sources import (
     NAME,
     TaskSource,
-    check_trust,
     known_task,
     open_task,
     opened_tasks,
+    place_of,
     register,
-    task_plugins,
 )
 
 KEPT = 16  # tasks of a process, each with a team size
@@ -77,21 +70,23 @@ class ToldTask(_Told):
     environment: ToldOrigin
 
 
-def ask_task(task: str | Callable[..., Any], isolation: Isolation, *, trust_code: bool = False) -> TaskSource:
+def ask_task(
+    task: str | Callable[..., Any], isolation: Isolation | None, *, trust_code: bool = False
+) -> TaskSource:
     """As `open_task`, but a task that is not of xmarl_envs runs in a process of its own.
 
-    Raises InputError as `open_task` does, and if the process fails.
+    isolation: None: here. Raises InputError as `open_task` does, and if the process fails.
     """
+    if isolation is None:
+        return open_task(task, trust_code=trust_code)
     if not isinstance(task, str):
         if task in TASKS.values():
             return open_task(task)
         name = str(getattr(task, "__name__", type(task).__name__))
         return ask_pickled(sendable(f"task {name!r}", task), name, isolation, origin_of(task))
-    plugin = None if is_reference(task) else task_plugins().get(task)
-    if task in TASKS or (plugin is None and not is_reference(task)):
-        check_named(task)
-        return known_task(task)
-    check_trust(task, trust_code)
+    plugin = place_of(task, trust_code=trust_code)
+    if isinstance(plugin, TaskSource):
+        return plugin
     if plugin is not None:
         known = opened_tasks().get(task)
         if isinstance(known, AskedSource) and known.source.isolation == isolation:

@@ -53,7 +53,7 @@ def declared_explainers() -> list[Declared]:
         )
         for name, summary in SUMMARIES.items()
     ]
-    return controls + [_of_plugin(plugin) for _, plugin in sorted(explainer_plugins().items())]
+    return controls + [_of_plugin(plugin) for plugin in explainer_plugins().values()]
 
 
 def _of_plugin(plugin: EntryPoint) -> Declared:
@@ -67,15 +67,7 @@ def _of_plugin(plugin: EntryPoint) -> Declared:
     except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
         return unknown
     found = declarations(body, plugin.attr)
-    if found is None:
-        return unknown
-    return replace(
-        unknown,
-        stochastic=found["stochastic"],
-        slow=found["slow"],
-        absence=found["absence"],
-        summary=found["summary"],
-    )
+    return unknown if found is None else replace(unknown, **found)
 
 
 def source_of(module: str) -> Path | None:

@@ -23,7 +23,6 @@ from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_checkpoint
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.scoring.arguments import ALL, check_fit
-from xmarl_bench.tasks.sources import open_task
 
 if TYPE_CHECKING:
     from xmarl_bench.explain.explainer import Explainer
@@ -103,13 +102,7 @@ def choose_policies(
 
     sizes = _sizes(agents)
     isolation = None if limits is None else Isolation(limits)
-
-    def opened(task: str) -> str:
-        if isolation is None:
-            return open_task(task, trust_code=trust_code).name
-        return ask_task(task, isolation, trust_code=trust_code).name
-
-    wanted_tasks = [opened(task) for task in tasks if task != ALL]
+    wanted_tasks = [ask_task(task, isolation, trust_code=trust_code).name for task in tasks if task != ALL]
     any_task = ALL in tasks
     meant = _meant(names, code if trust_code else None)
     if meant is not None:
@@ -136,7 +129,7 @@ def choose_policies(
     selected: list[Chosen] = []
     for name, installed in chosen.items():
         card = installed.card
-        opened(card.task)
+        ask_task(card.task, isolation, trust_code=trust_code)
         # Names of policies are unique in a run, because files of entries are named by them.
         if any(card.name == other.installed.card.name for other in selected):
             raise InputError(
@@ -196,12 +189,9 @@ def _bundled(name: str, place: Path) -> dict[str, Installed]:
 
 def _code(name: str, isolation: Isolation | None) -> Installed:
     """A policy that is code, which makes its card as it runs."""
-    from xmarl_bench.plugins.registry import ask_policy, open_policy  # imports torch
+    from xmarl_bench.plugins.registry import ask_policy  # imports torch
 
-    if isolation is None:
-        opened = open_policy(name, trust_code=True)
-    else:
-        opened = ask_policy(name, isolation, trust_code=True)
+    opened = ask_policy(name, isolation, trust_code=True)
     return Installed(opened[1], lambda: opened)
 
 
@@ -229,13 +219,14 @@ def select_explainers(
     limits: of the processes of explainers that are not shipped; None: all run in this process. Raises
     InputError if none loads.
     """
-    from xmarl_bench.plugins.registry import ask_explainer, find_explainer  # imports torch
+    from xmarl_bench.plugins.registry import ask_explainer  # imports torch
 
+    isolation = None if limits is None else Isolation(limits)
     found: list[Explainer] = []
     failures: list[InputError] = []
     for name in explainers_meant(names):
         try:
-            found.append(find_explainer(name) if limits is None else ask_explainer(name, Isolation(limits)))
+            found.append(ask_explainer(name, isolation))
         except InputError as error:
             failures.append(error)
     if failures and not found:

@@ -27,6 +27,12 @@ from xmarl_bench.origin.references import Origin
 from xmarl_bench.records.field_types import Text
 from xmarl_bench.records.strict_json import first_error, shown
 
+# Fields of an Explainer that are declared under their own names.
+DECLARED = (
+    "name", "summary", "stochastic", "slow", "control", "hyperparameters", "batched", "binary", "signed",
+    "node_importance", "absence",
+)  # fmt: skip
+
 
 class Declared(ExplainerRecord):
     """What a process declares of its explainer."""
@@ -47,7 +53,13 @@ def isolate(explainer: Explainer, isolation: Isolation = PLAIN) -> Explainer:
     content = sendable(f"explainer {explainer.name!r}", replace(explainer, elsewhere=None))
     key = object_sha256(replace(explainer, summary="", origin=None)) or secrets.token_hex()
     source = Source(f"explainer {explainer.name}", {"what": "load", "pickled": content}, isolation)
-    return _asking(explainer, Asked(source, key))
+    return replace(
+        explainer,
+        explain=Simulated(_not_here) if explainer.simulates else _not_here,
+        fit=None if explainer.fit is None else _not_here,
+        origin=explainer.origin or origin_of_explainer(explainer),
+        elsewhere=Asked(source, key),
+    )
 
 
 def find_elsewhere(
@@ -67,30 +79,14 @@ def find_elsewhere(
         raise InputError(
             f"explainer {name!r} declares no valid {shown(where)} ({shown(problem)}): correct it."
         ) from None
-    found = Explainer(
-        **{
-            name: getattr(declared, name)
-            for name in (
-                "name", "summary", "stochastic", "slow", "control", "hyperparameters", "batched", "binary",
-                "signed", "node_importance", "absence",
-            )
-        },
+    its_own = Origin(declared.distribution, declared.version, declared.entry_point, declared.code_sha256)
+    return Explainer(
+        **{field: getattr(declared, field) for field in DECLARED},
         explain=Simulated(_not_here) if declared.accesses == SIMULATOR else _not_here,
         accesses=None if declared.accesses == SIMULATOR else declared.accesses,
         fit=_not_here if declared.needs_fit else None,
-        origin=origin
-        or Origin(declared.distribution, declared.version, declared.entry_point, declared.code_sha256),
-    )  # fmt: skip
-    return _asking(found, Asked(source, declared.key or secrets.token_hex()))
-
-
-def _asking(explainer: Explainer, asked: Asked) -> Explainer:
-    return replace(
-        explainer,
-        explain=Simulated(_not_here) if explainer.simulates else _not_here,
-        fit=None if explainer.fit is None else _not_here,
-        origin=explainer.origin or origin_of_explainer(explainer),
-        elsewhere=asked,
+        origin=origin or its_own,
+        elsewhere=Asked(source, declared.key or secrets.token_hex()),
     )
 
 

@@ -116,7 +116,7 @@ def _opened(source: Source, origin: Origin | None, name: str | None) -> TaskSour
     found = AskedSource(
         told.name,
         _not_here,
-        origin or Origin(**told.origin.model_dump()),
+        origin or Origin(**vars(told.origin)),
         source,
         told.key or secrets.token_hex(),
         told.observation_names,
@@ -148,7 +148,7 @@ class AskedSource(TaskSource):
         return self.names
 
     def environment(self, n_agents: int) -> Origin:
-        return Origin(**self.make(n_agents).told.environment.model_dump())
+        return self.make(n_agents).environment
 
 
 @lru_cache(maxsize=KEPT)
@@ -160,7 +160,8 @@ def _made(source: AskedSource, n_agents: int, continuous: bool | None) -> AskedT
         told = ToldTask.model_validate(header)
     if len(told.observation_names) not in (0, told.obs_dim):
         raise InputError(f"{source.source.name} names another number of observation entries: correct it.")
-    return AskedTask(source, n_agents, continuous, told)
+    environment = Origin(**vars(told.environment))
+    return AskedTask(source, n_agents, continuous, **{**vars(told), "environment": environment})
 
 
 @dataclass(frozen=True)
@@ -169,36 +170,18 @@ class AskedTask:
 
     source: AskedSource
     n_agents: int
-    continuous: bool | None
-    told: ToldTask
+    continuous: bool | None  # asked for; None: its own actions
+    obs_dim: int
+    observation_names: tuple[str, ...]
+    continuous_actions: bool
+    action_width: int
+    default_max_cycles: int
+    has_objects: bool
+    environment: Origin
 
     @property
     def name(self) -> str:
         return self.source.name
-
-    @property
-    def obs_dim(self) -> int:
-        return self.told.obs_dim
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        return self.told.observation_names
-
-    @property
-    def continuous_actions(self) -> bool:
-        return self.told.continuous_actions
-
-    @property
-    def action_width(self) -> int:
-        return self.told.action_width
-
-    @property
-    def default_max_cycles(self) -> int:
-        return self.told.default_max_cycles
-
-    @property
-    def has_objects(self) -> bool:
-        return self.told.has_objects
 
     def with_actions(self, continuous: bool) -> AskedTask:
         if continuous == self.continuous_actions:

@@ -12,7 +12,7 @@ import signal
 import struct
 import sys
 import tempfile
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import IO, Any
@@ -85,6 +85,7 @@ class Worker:
         """Load an explainer, which runs its code; returns its declarations."""
         from xmarl_bench.explain.adapters import origin_of_explainer
         from xmarl_bench.explain.simulator import SIMULATOR
+        from xmarl_bench.isolation.explainers import DECLARED
         from xmarl_bench.origin.code_hash import object_sha256
         from xmarl_bench.plugins.registry import find_explainer
 
@@ -95,19 +96,12 @@ class Worker:
         if name is None:
             return {}, b""
         found, origin = self.explainer, origin_of_explainer(self.explainer)
-        same = (
-            "name", "summary", "stochastic", "slow", "control", "batched", "binary", "signed",
-            "node_importance", "absence",
-        )  # fmt: skip
         declared = {
-            **{each: getattr(found, each) for each in same},
+            **{field: getattr(found, field) for field in DECLARED},
+            **asdict(origin),
             "hyperparameters": dict(found.hyperparameters),
             "accesses": SIMULATOR if found.simulates else found.accesses,
             "needs_fit": found.fit is not None,
-            "distribution": origin.distribution,
-            "version": origin.version,
-            "entry_point": origin.entry_point,
-            "code_sha256": origin.code_sha256,
             "seed": 0,
             "key": object_sha256(replace(found, summary="", origin=None)),
         }

@@ -50,19 +50,8 @@ class Results:
         self.cache.write(piece.key, data)
         self._remember(piece, result, len(data))
 
-    def episodes(self, piece: Piece) -> list[Episode]:
-        return self._get(piece)  # type: ignore[return-value]
-
-    def shared(self, piece: Piece) -> list[Shared]:
-        return self._get(piece)  # type: ignore[return-value]
-
-    def explained(self, piece: Piece) -> list[Explained]:
-        return self._get(piece)  # type: ignore[return-value]
-
-    def played(self, piece: Piece) -> Played:
-        return self._get(piece)  # type: ignore[return-value]
-
-    def _get(self, piece: Piece) -> Result:
+    def get(self, piece: Piece) -> Any:
+        """The piece's `Result`, whose type its kind tells. Raises InputError if it is missing."""
         result = self._find(piece)
         if result is None:
             raise InputError(

@@ -129,25 +129,21 @@ class Sweep:
 
         An explainer that works nowhere is settled by its errors. Raises InputError if none works anywhere.
         """
-        environments: dict[str, dict[Environment, list[Piece]]] = {}
+        explained: dict[tuple[str, Environment], list[Piece]] = {}
         for piece in pieces:
             if piece.explainer is not None:
-                environments.setdefault(piece.explainer, {}).setdefault(piece.block.environment, []).append(
-                    piece
-                )
-        any_works, reasons = False, list[InputError]()
-        for name, its_environments in environments.items():
-            works = name in self.proven
-            for environment, its_pieces in its_environments.items():
-                try:
-                    self._fit(name, environment)
-                    works = works or self._try(name, environment, its_pieces)
-                except InputError as error:
-                    reasons.append(error)
-                    for piece in its_pieces:
-                        self.errors[piece.key] = str(error)
-            any_works = any_works or works
-        if reasons and not any_works:
+                explained.setdefault((piece.explainer, piece.block.environment), []).append(piece)
+        reasons = list[InputError]()
+        for (name, environment), its_pieces in explained.items():
+            try:
+                self._fit(name, environment)
+                if name not in self.proven and self._try(name, environment, its_pieces):
+                    self.proven.add(name)
+            except InputError as error:
+                reasons.append(error)
+                for piece in its_pieces:
+                    self.errors[piece.key] = str(error)
+        if reasons and not any(name in self.proven for name, _ in explained):
             raise reasons[0]
         for piece in pieces:
             if piece.key in self.errors:
@@ -211,7 +207,7 @@ class Sweep:
                 controls=self._controls(environment),
                 shared=any(each.kind == "shared" for each in group),
             )
-            for k, episode in enumerate(self.results.episodes(source), start=piece.block.first)
+            for k, episode in enumerate(self.results.get(source), start=piece.block.first)
         )
 
     def _in_world(self, name: str, environment: Environment, episode: Episode) -> Explainer:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 from torch import Tensor
 
@@ -64,8 +65,9 @@ class Sweep:
     unsettled: set[str] = field(default_factory=set)
     errors: dict[str, str] = field(default_factory=dict)
     _ready: dict[tuple[Environment, str], Explainer] = field(default_factory=dict)  # fitted to its policy
-    _states: dict[Environment, Tensor] = field(default_factory=dict)  # that explainers are fitted on
-    _known_controls: dict[Environment, tuple[Explainer, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._fit_states, self._controls = cache(_fit_states), cache(_controls)
 
     def compute(self, pieces: Iterable[Piece]) -> Iterator[Piece]:
         """Yield each missing piece once it is settled: written to the cache, or in `errors`.
@@ -217,22 +219,9 @@ class Sweep:
             return ready
         return replace(ready, simulator=Simulator(cell.task, cell.n_agents, episode.seed))
 
-    def _fit_states(self, environment: Environment) -> Tensor:
-        if environment not in self._states:
-            cell = environment.cell
-            self._states[environment] = fit_states(
-                environment.policy, cell.task, cell.n_agents, environment.max_cycles
-            )
-        return self._states[environment]
-
     def _reference(self, environment: Environment) -> Tensor | None:
         """The states of `xmarl_bench.rollout.reference_states`, played once with those to fit on."""
         return self._fit_states(environment) if isinstance(environment.policy, GraphPolicy) else None
-
-    def _controls(self, environment: Environment) -> tuple[Explainer, ...]:
-        if environment not in self._known_controls:
-            self._known_controls[environment] = controls_of(environment.cell.task, environment.card)
-        return self._known_controls[environment]
 
     def _acting(self, piece: Piece) -> BehaviourBlock:
         environment, name = piece.block.environment, piece.explainer
@@ -255,6 +244,16 @@ class Sweep:
         else:
             self.results.write(piece, result)  # type: ignore[arg-type]
         return piece
+
+
+def _fit_states(environment: Environment) -> Tensor:
+    """The states that explainers are fitted on."""
+    cell = environment.cell
+    return fit_states(environment.policy, cell.task, cell.n_agents, environment.max_cycles)
+
+
+def _controls(environment: Environment) -> tuple[Explainer, ...]:
+    return controls_of(environment.cell.task, environment.card)
 
 
 def _value(piece: Piece, returned: Returned) -> Result | InputError:

@@ -23,9 +23,8 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
 from xmarl_bench.origin.plugins import origin_of_plugin
 from xmarl_bench.origin.references import Origin, located, origin_of
-from xmarl_bench.records.field_types import Text
+from xmarl_bench.records.field_types import Name, Text
 from xmarl_bench.tasks.sources import (
-    NAME,
     TaskSource,
     known_task,
     open_task,
@@ -52,7 +51,7 @@ class ToldOrigin(_Told):
 class ToldSource(_Told):
     """What a process tells of what makes the task."""
 
-    name: Annotated[str, Field(pattern=NAME)]
+    name: Name
     origin: ToldOrigin
     key: Text | None
     observation_names: tuple[Text, ...]

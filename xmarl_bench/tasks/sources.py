@@ -10,7 +10,6 @@ then on the process knows it by its name, as a `Cell` and the card of a policy g
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,12 +22,12 @@ from xmarl_envs import TASKS, Task
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin, plugins_by_name
 from xmarl_bench.origin.references import Origin, check_named, is_reference, load_reference, origin_of
+from xmarl_bench.records.field_types import is_file_name
 from xmarl_bench.tasks.interface import TeamTask, random_actions
 from xmarl_bench.tasks.parallel_task import ParallelTask, foreign_code
 from xmarl_bench.tasks.parallel_trial import SEED, parallel_task
 
 GROUP: Final = "xmarl_bench.tasks"
-NAME = re.compile(r"^[a-z0-9][a-z0-9._-]{0,99}$")  # safe in file names
 KEPT = 8  # tasks of a process, each with a team size, that are tried once only
 
 _opened: dict[str, TaskSource] = {}
@@ -82,9 +81,7 @@ def _task_class(factory: object) -> type[Task] | None:
     return factory if isinstance(factory, type) and issubclass(factory, Task) else None
 
 
-@lru_cache(maxsize=KEPT)
-def _tried(name: str, factory: Callable[[int], Any], n_agents: int) -> ParallelTask:
-    return parallel_task(name, factory, n_agents)
+_tried = lru_cache(maxsize=KEPT)(parallel_task)
 
 
 @lru_cache(maxsize=KEPT)
@@ -171,7 +168,7 @@ def open_factory(factory: object, origin: Origin, name: str | None) -> TaskSourc
         raise InputError(
             f"task plugin {name!r} ({origin.entry_point}) calls itself {chosen!r}: use one name for both."
         )
-    if not NAME.match(chosen):
+    if not is_file_name(chosen):
         raise InputError(f"task name {chosen!r} cannot be part of a file name: use a-z, 0-9, . _ and -.")
     if chosen in TASKS and own is not TASKS[chosen]:
         raise InputError(f"task {chosen!r} ({origin.entry_point}) has the name of a shipped task: rename it.")

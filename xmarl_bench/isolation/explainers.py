@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NoReturn
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from xmarl_bench.entry.schema import ExplainerRecord
 from xmarl_bench.errors import InputError
@@ -20,12 +20,18 @@ from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.simulator import SIMULATOR, Simulated
 from xmarl_bench.isolation.asked import Asked
-from xmarl_bench.isolation.conversation import PLAIN, Isolation, Source, conversation, sendable
+from xmarl_bench.isolation.conversation import (
+    PLAIN,
+    Isolation,
+    Source,
+    conversation,
+    reading_answer,
+    sendable,
+)
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.code_hash import object_sha256
 from xmarl_bench.origin.references import Origin
 from xmarl_bench.records.field_types import Text
-from xmarl_bench.records.strict_json import first_error, shown
 
 # Fields of an Explainer that are declared under their own names.
 DECLARED = (
@@ -72,13 +78,8 @@ def find_elsewhere(
     load = {"what": "load", "explainer": name}
     source = Source(f"explainer {Path(name).name}", load, isolation, tuple(readable))
     header = conversation(source).declared
-    try:
+    with reading_answer(source):
         declared = Declared.model_validate(header, strict=False)
-    except ValidationError as error:
-        problem, where = first_error(error)
-        raise InputError(
-            f"explainer {name!r} declares no valid {shown(where)} ({shown(problem)}): correct it."
-        ) from None
     its_own = Origin(declared.distribution, declared.version, declared.entry_point, declared.code_sha256)
     return Explainer(
         **{field: getattr(declared, field) for field in DECLARED},

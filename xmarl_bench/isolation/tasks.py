@@ -10,7 +10,6 @@ import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import prod
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -229,14 +228,10 @@ class AskedEpisodes:
         """The process's arrays, of the given types and shapes. Raises InputError if they are not that."""
         process, ended = conversation(self.source), _ended.pop(self.source.token, [])
         _, payload = process.ask({"what": what, "ended": ended, **self.whose, **more})
-        sizes = [np.dtype(kind).itemsize * prod(shape) for kind, shape in kinds]
-        if len(payload) != sum(sizes):
+        expected = np.dtype([("", *kind) for kind in kinds])
+        if len(payload) != expected.itemsize:
             raise InputError(f"{self.source.name} answered with other shapes than its own: correct it.")
-        found, first = [], 0
-        for (kind, shape), size in zip(kinds, sizes, strict=True):
-            found.append(np.frombuffer(payload[first : first + size], dtype=kind).reshape(shape).copy())
-            first += size
-        return found
+        return [array.copy() for array in np.frombuffer(payload, expected)[0]]
 
 
 _ended: dict[str, list[str]] = {}  # by token: numbers of episodes that nobody plays any more

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -42,17 +43,12 @@ class Episode:
 
 def mean_metrics(task: TeamTask, episodes: Sequence[Episode]) -> dict[str, float | None]:
     """Means of the task metrics over episodes; None for a metric that the task does not have or not tell."""
-    lacking = set() if task.has_objects else {Need.WALLS}
-    values = {
-        metric.name: np.array([getattr(episode, metric.name) for episode in episodes])
-        for metric in metrics_of(Group.TASK)
-        if not lacking & set(metric.needs)
-    }
-    told = {name: each[~np.isnan(each)] for name, each in values.items()}
-    return {
-        metric.name: float(np.mean(told[metric.name])) if len(told.get(metric.name, ())) else None
-        for metric in metrics_of(Group.TASK)
-    }
+    means: dict[str, float | None] = {}
+    for metric in metrics_of(Group.TASK):
+        told = [value for each in episodes if not math.isnan(value := getattr(each, metric.name))]
+        measured = told and (task.has_objects or Need.WALLS not in metric.needs)
+        means[metric.name] = float(np.mean(told)) if measured else None
+    return means
 
 
 class Act(Protocol):

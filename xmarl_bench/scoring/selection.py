@@ -7,7 +7,7 @@ torch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,23 +35,16 @@ FINISHED, DEFAULT = "finished", "default"
 
 
 @dataclass(frozen=True)
-class Installed:
-    """A policy of which only the card was read."""
+class Chosen:
+    """A policy of which only the card was read, and its cells in the run."""
 
     card: PolicyCard
-    open: Callable[[], Opened]
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """A policy of a run with its cells."""
-
-    installed: Installed
-    cells: tuple[Cell, ...]
+    opened: Callable[[], Opened]
+    cells: tuple[Cell, ...] = ()
 
     def open(self) -> tuple[Policy, PolicyCard, tuple[Cell, ...]]:
         """Build its network."""
-        return *self.installed.open(), self.cells
+        return *self.opened(), self.cells
 
 
 def select_policies(
@@ -93,12 +86,16 @@ def choose_policies(
     """
     failures = list[InputError]()
 
-    def code(name: str) -> dict[str, Installed]:
+    def code(name: str) -> dict[str, Chosen]:
+        """A policy that is code, which makes its card as it runs; nothing if that fails."""
+        from xmarl_bench.plugins.registry import ask_policy  # imports torch
+
         try:
-            return {name: _code(name, isolation)}
+            opened = ask_policy(name, isolation, trust_code=True)
         except InputError as error:
             failures.append(error)
             return {}
+        return {name: Chosen(opened[1], lambda: opened)}
 
     sizes = _sizes(agents)
     isolation = None if limits is None else Isolation(limits)
@@ -127,11 +124,11 @@ def choose_policies(
     if failures and not chosen:
         raise failures[0]
     selected: list[Chosen] = []
-    for name, installed in chosen.items():
-        card = installed.card
+    for name, policy in chosen.items():
+        card = policy.card
         ask_task(card.task, isolation, trust_code=trust_code)
         # Names of policies are unique in a run, because files of entries are named by them.
-        if any(card.name == other.installed.card.name for other in selected):
+        if any(card.name == other.card.name for other in selected):
             raise InputError(
                 f"two policies are named {card.name!r} ({name} is one): rename one, or leave it out."
             )
@@ -140,13 +137,11 @@ def choose_policies(
             check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # raises the reason
         for cell in cells:
             check_fit(card, cell)
-        selected.append(Chosen(installed, cells))
+        selected.append(replace(policy, cells=cells))
     return selected, failures
 
 
-def _meant(
-    names: Sequence[str], code: Callable[[str], dict[str, Installed]] | None
-) -> dict[str, Installed] | None:
+def _meant(names: Sequence[str], code: Callable[[str], dict[str, Chosen]] | None) -> dict[str, Chosen] | None:
     """The policies meant by `all`, `finished`, `default` or a family, by name; None without such a word.
 
     code: opens policies that are code; None: leaves them out.
@@ -154,7 +149,7 @@ def _meant(
     installed, failures = registered_policies()
     if not set(names) - set(installed):
         return None
-    found: dict[str, Installed] = {}
+    found: dict[str, Chosen] = {}
     for name, place in installed.items():
         if isinstance(place, Path):
             try:
@@ -182,17 +177,9 @@ def _meant(
     }
 
 
-def _bundled(name: str, place: Path) -> dict[str, Installed]:
+def _bundled(name: str, place: Path) -> dict[str, Chosen]:
     card = load_card(place)
-    return {name: Installed(card, partial(load_policy, place, card))}
-
-
-def _code(name: str, isolation: Isolation | None) -> Installed:
-    """A policy that is code, which makes its card as it runs."""
-    from xmarl_bench.plugins.registry import ask_policy  # imports torch
-
-    opened = ask_policy(name, isolation, trust_code=True)
-    return Installed(opened[1], lambda: opened)
+    return {name: Chosen(card, partial(load_policy, place, card))}
 
 
 def explainers_meant(names: Sequence[str]) -> list[str]:

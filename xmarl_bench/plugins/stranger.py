@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import pickle
-import signal
 import struct
 import sys
 import tempfile
@@ -32,7 +31,7 @@ def serve(config: dict[str, Any]) -> None:
     with Path(os.devnull).open("r+b") as nowhere:
         for descriptor in (0, 1, 2):
             os.dup2(nowhere.fileno(), descriptor)
-    prctl(PARENT_DEATH, signal.SIGTERM.value if os.name != "posix" else 9)
+    prctl(PARENT_DEATH, 9)  # SIGKILL, which Windows does not name
     Limits(**config["limits"]).apply()
     if config["wall"] == "landlock":
         close_in([Path(each) for each in config["readable"]], Path(tempfile.gettempdir()))

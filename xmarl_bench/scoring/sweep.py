@@ -242,7 +242,7 @@ class Sweep:
             self.errors[piece.key] = str(result)
             self.results.cache.fail(piece.key, str(result))
         else:
-            self.results.write(piece, result)  # type: ignore[arg-type]
+            self.results.write(piece, result)
         return piece
 
 

@@ -20,14 +20,7 @@ from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.simulator import SIMULATOR, Simulated
 from xmarl_bench.isolation.asked import Asked
-from xmarl_bench.isolation.conversation import (
-    PLAIN,
-    Isolation,
-    Source,
-    conversation,
-    reading_answer,
-    sendable,
-)
+from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.code_hash import object_sha256
 from xmarl_bench.origin.references import Origin
@@ -51,7 +44,7 @@ class Declared(ExplainerRecord):
     hyperparameters: Annotated[dict[Text, bool | int | float | Text | None], Field(max_length=100)]
 
 
-def isolate(explainer: Explainer, isolation: Isolation = PLAIN) -> Explainer:
+def isolate(explainer: Explainer, isolation: Isolation) -> Explainer:
     """The same explainer, asked over a pipe: it is sent to its process by value.
 
     Raises InputError if it cannot be pickled.

@@ -178,7 +178,7 @@ class Sweep:
                 again += [(piece,) for piece in group]
                 continue
             for piece in group:
-                yield self._settle(piece, result if isinstance(result, Failure) else _value(piece, result))
+                yield self._settle(piece, _value(piece, result))
         if again:
             yield from self._explain(again)
 
@@ -256,9 +256,9 @@ def _controls(environment: Environment) -> tuple[Explainer, ...]:
     return controls_of(environment.cell.task, environment.card)
 
 
-def _value(piece: Piece, returned: Returned) -> Result | InputError:
+def _value(piece: Piece, returned: Returned | Failure) -> Result | InputError | Failure:
     """The result of one piece from a worker's return value."""
-    if isinstance(returned, InputError | Played):
+    if isinstance(returned, Failure | InputError | Played):
         return returned
     if piece.explainer is None:
         return [each.shared for each in returned if each.shared is not None]

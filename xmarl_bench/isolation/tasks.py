@@ -73,7 +73,7 @@ def ask_task(
 ) -> TaskSource:
     """As `open_task`, but a task that is not of xmarl_envs runs in a process of its own.
 
-    isolation: None: here. Raises InputError as `open_task` does, and if the process fails.
+    isolation: None: in this process. Raises InputError as `open_task` does, and if the process fails.
     """
     if isolation is None:
         return open_task(task, trust_code=trust_code)

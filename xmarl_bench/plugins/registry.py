@@ -64,7 +64,7 @@ def find_explainer(name: str) -> Explainer:
 def ask_explainer(name: str, isolation: Isolation | None = PLAIN) -> Explainer:
     """As `find_explainer`, but one that is not shipped is loaded and asked in a process of its own.
 
-    isolation: None: here. Raises InputError as `find_explainer` does, and if the process fails.
+    isolation: None: in this process. Raises InputError as `find_explainer` does, and if the process fails.
     """
     check_named(name)
     if isolation is None or is_shipped(name):
@@ -82,7 +82,7 @@ def ask_explainer(name: str, isolation: Isolation | None = PLAIN) -> Explainer:
 def isolated(explainer: Explainer, isolation: Isolation | None = PLAIN) -> Explainer:
     """An explainer made in Python, asked in a process of its own unless it is a shipped one.
 
-    isolation: None: here.
+    isolation: None: in this process.
     """
     if isolation is None or explainer.elsewhere is not None or is_shipped_code(explainer):
         return explainer
@@ -122,7 +122,7 @@ def ask_policy(
 ) -> tuple[Policy, PolicyCard]:
     """As `open_policy`, but a policy that is code runs in a process of its own.
 
-    isolation: None: here. Raises InputError as `open_policy` does, and if the process fails.
+    isolation: None: in this process. Raises InputError as `open_policy` does, and if the process fails.
     """
     place = place_of(name, trust_code=trust_code)
     if isolation is None or isinstance(place, Path):

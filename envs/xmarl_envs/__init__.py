@@ -9,17 +9,17 @@ from xmarl_envs.blind_discovery_v0 import BlindDiscovery
 from xmarl_envs.blind_navigation_v0 import BlindNavigation
 from xmarl_envs.blind_passage_v0 import BlindPassage
 from xmarl_envs.registration import register_tasks
-from xmarl_envs.task import Layout, Outcome, State, Task
+from xmarl_envs.task import Layout, Outcome, State, Step, Task
 
 if TYPE_CHECKING:
     from xmarl_envs.parallel import TaskParallelEnv
-    from xmarl_envs.vector_env import Step, VectorEnv
+    from xmarl_envs.vector_env import VectorEnv
 
 TASKS: dict[str, type[Task]] = {task.name: task for task in (BlindNavigation, BlindPassage, BlindDiscovery)}
 register_tasks(TASKS.values())
 
 # Loaded on first use: rules need no physics.
-_MODULES = {"Step": "vector_env", "TaskParallelEnv": "parallel", "VectorEnv": "vector_env"}
+_MODULES = {"TaskParallelEnv": "parallel", "VectorEnv": "vector_env"}
 
 __all__ = [
     "TASKS", "BlindDiscovery", "BlindNavigation", "BlindPassage", "Layout", "Outcome", "State", "Step",

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from xmarl_envs.actions import team_action_space
 from xmarl_envs.episode_seeds import EpisodeSeeds
 from xmarl_envs.parallel import TaskParallelEnv, task_of
-from xmarl_envs.task import Bools, Floats, Task
-from xmarl_envs.vector_env import Step, VectorEnv
+from xmarl_envs.task import Bools, Floats, Step, Task
+from xmarl_envs.vector_env import VectorEnv
 
 Array = NDArray[np.float32]
 Infos = dict[str, Any]

@@ -18,9 +18,6 @@ class InfoAtReset(BaseParallelWrapper[str, Array, Array]):  # type: ignore[misc]
 
     env: TaskParallelEnv
 
-    def __init__(self, env: TaskParallelEnv) -> None:
-        super().__init__(env)
-
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:

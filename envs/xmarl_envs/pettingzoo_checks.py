@@ -49,22 +49,19 @@ def check_pettingzoo(name: str, make: Make, renders: bool, seed: int) -> None:
     def make_aec(**options: Any) -> Any:
         return parallel_to_aec(make(**options))
 
-    passes = "it passes PettingZoo's {} without a warning"
-    with promise(name, passes.format("parallel_api_test")):
-        parallel_api_test(make(), num_cycles=300)
-    with promise(name, passes.format("api_test when stepped turn by turn")):
-        api_test(make_aec(), num_cycles=300)
-    with promise(name, passes.format("parallel_seed_test")):
-        parallel_seed_test(make, num_cycles=500)
-    with promise(name, passes.format("seed_test")):
-        seed_test(make_aec, num_cycles=500)
-    with promise(name, passes.format("max_cycles_test")):
-        _max_cycles_test(make, seed)
-    with promise(name, passes.format("state_test")):
-        state_test(make_aec(), make())
+    tests: dict[str, Callable[[], object]] = {
+        "parallel_api_test": lambda: parallel_api_test(make(), num_cycles=300),
+        "api_test when stepped turn by turn": lambda: api_test(make_aec(), num_cycles=300),
+        "parallel_seed_test": lambda: parallel_seed_test(make, num_cycles=500),
+        "seed_test": lambda: seed_test(make_aec, num_cycles=500),
+        "max_cycles_test": lambda: _max_cycles_test(make, seed),
+        "state_test": lambda: state_test(make_aec(), make()),
+    }
     if renders:
-        with promise(name, passes.format("render_test")):
-            render_test(make_aec)
+        tests["render_test"] = lambda: render_test(make_aec)
+    for what, test in tests.items():
+        with promise(name, f"it passes PettingZoo's {what} without a warning"):
+            test()
 
 
 def _max_cycles_test(make: Make, seed: int) -> None:

@@ -31,6 +31,7 @@ class OneObjectVecEnv(VecEnv):
     """A VecEnv whose entries are rows of one object's arrays and share its attributes and methods."""
 
     render_mode: str | None = None  # SB3 warns if it is missing
+    _team_sizes: list[int]  # agents of each team (or copy), whose entries come one after another
 
     def step_async(self, actions: NDArray[Any]) -> None:
         self._actions = actions
@@ -39,7 +40,7 @@ class OneObjectVecEnv(VecEnv):
         return None
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        return [getattr(self, attr_name)] * len(self._entries(indices))
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         setattr(self, attr_name, value)
@@ -48,13 +49,17 @@ class OneObjectVecEnv(VecEnv):
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
         result = getattr(self, method_name)(*method_args, **method_kwargs)
-        return [result] * len(self._entries(indices))
+        return [result for _ in self._get_indices(indices)]
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the next `reset()`: team k with seed + k. Returns the seed of each entry's team."""
+        if seed is None:
+            seed = EpisodeSeeds().draw()
+        self._seeds = [seed + k for k, n_agents in enumerate(self._team_sizes) for _ in range(n_agents)]
+        return self._seeds
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        return [False] * len(self._entries(indices))
-
-    def _entries(self, indices: VecEnvIndices) -> Sequence[int]:
-        return list(self._get_indices(indices))
+        return [False for _ in self._get_indices(indices)]
 
 
 class AgentVecEnv(OneObjectVecEnv):
@@ -95,15 +100,9 @@ class AgentVecEnv(OneObjectVecEnv):
             spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32),
             action_space(task),
         )
+        self._team_sizes = [task.n_agents] * n_episodes
         if seed is not None:
             self.seed(seed)
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the next `reset()`: team k with seed + k. Returns the seed of each entry's team."""
-        if seed is None:
-            seed = EpisodeSeeds().draw()
-        self._seeds = [seed + entry // self.task.n_agents for entry in range(self.num_envs)]
-        return self._seeds
 
     def reset(self) -> NDArray[np.float32]:
         for k, seed in enumerate(self._seeds[:: self.task.n_agents]):
@@ -173,14 +172,7 @@ class SuperSuitVecEnv(OneObjectVecEnv):
         self.venv = venv
         self.render_mode = venv.render_mode
         super().__init__(venv.num_envs, venv.observation_space, venv.action_space)
-        self._agents_per_copy = [copy.num_envs for copy in copies]
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the next `reset()`: copy k with seed + k. Returns the seed of each entry's copy."""
-        if seed is None:
-            seed = EpisodeSeeds().draw()
-        self._seeds = [seed + k for k, n_agents in enumerate(self._agents_per_copy) for _ in range(n_agents)]
-        return self._seeds
+        self._team_sizes = [copy.num_envs for copy in copies]
 
     def reset(self) -> NDArray[np.float32]:
         observation, infos = self.venv.reset(seed=self._seeds[0])

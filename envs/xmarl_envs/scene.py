@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_envs.task import Bools, Floats, State
+from xmarl_envs.task import Bools, Floats, State, Step
 
 Picture = NDArray[np.uint8]
 
@@ -28,21 +28,6 @@ class Drawable(Protocol):
     def spawn_half_width(self) -> float: ...  # m
     @property
     def wall_size(self) -> tuple[float, float]: ...  # m
-
-
-class DrawnStep(Protocol):
-    """What a picture needs to know of a step of B episodes. NaN is drawn as no collision."""
-
-    @property
-    def reward(self) -> Floats: ...  # (B, N)
-    @property
-    def terminated(self) -> Bools: ...  # (B,)
-    @property
-    def truncated(self) -> Bools: ...  # (B,)
-    @property
-    def agent_collision(self) -> NDArray[Any]: ...  # (B, N)
-    @property
-    def object_collision(self) -> NDArray[Any]: ...  # (B, N)
 
 
 @dataclass(frozen=True)
@@ -77,8 +62,8 @@ class Track:
         """Steps so far."""
         return len(self._positions) - 1
 
-    def add(self, state: State, step: DrawnStep, backdrop: Picture | None = None) -> None:
-        """Record the step just taken and the state after it."""
+    def add(self, state: State, step: Step, backdrop: Picture | None = None) -> None:
+        """Record the step just taken and the state after it. NaN is no collision."""
         k = self._episode
         self._positions.append(state.position[k].copy())
         self._rewards.append(float(step.reward[k].mean()))

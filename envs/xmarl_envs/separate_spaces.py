@@ -43,9 +43,8 @@ class SeparateSpaces:
         self._in_own: set[int] = set()
         self._own: dict[int, SlottedSpace] = {}
         self._caught_up: dict[int, int] = {}  # bytes of `_forces` that the own Space has taken
-        self._n_spared = self._n_missed = (
-            0  # steps without the own Space; those that it had to take after all
-        )
+        self._n_spared = 0  # steps without the own Space
+        self._n_missed = 0  # those of them that it had to take after all
         self._pairs = np.triu_indices(task.n_agents, k=1)
 
     def _may_fly(self) -> bool:

@@ -18,9 +18,8 @@ from xmarl_envs.task import Bools, Floats, Task
 FREE, COOLING = -1, -2  # slots without an episode; Chipmunk still remembers contacts of a cooling one
 NO_SLOT = -1
 ROUNDING = 1e-9  # m, m/s: a contact changes the result by more, the frame of a slot by less
-SMALLEST_SPACE = (
-    8  # slots; each further Space has twice as many as the last, so that few contacts cost little
-)
+# Slots; each further Space has twice as many as the last, so that few contacts cost little.
+SMALLEST_SPACE = 8
 # Nearly every larger team has a contact, and checking all its pairs costs more than a Space.
 LARGEST_FLYING_TEAM = 8
 BLOCK = 1024  # episodes whose paths are computed together: what they need stays in the processor's cache

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from math import sqrt
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,18 @@ class Outcome(NamedTuple):
     done: Bools  # (B,) the team is done
     success: Bools  # (B, N) at its goal (discovery: the landmark is found)
     object_collision: Bools  # (B, N) touches a wall
+
+
+class Step(NamedTuple):
+    """The result of a step of B episodes. Success and collisions are 0 or 1, NaN where a task has none."""
+
+    observation: NDArray[np.float32]  # (B, N, D)
+    reward: Floats  # (B, N)
+    terminated: Bools  # (B,) the team is done
+    truncated: Bools  # (B,) max_cycles reached and the team not done
+    success: NDArray[Any]  # (B, N)
+    agent_collision: NDArray[Any]  # (B, N)
+    object_collision: NDArray[Any]  # (B, N)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import os
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import cloudpickle
 import numpy as np
@@ -104,8 +106,8 @@ def _check_environment(name: str, make: Make, episode: Callable[[], str], seed: 
         )
     if "rgb_array" in env.metadata.get("render_modes", ()):
         with promise(name, f"{same} whether it is drawn or not"):
-            drawn = make(render_mode="rgb_array")
-            assert play_env(drawn, seed, MAX_STEPS, _every(20, drawn.render)) == alone, (
+            drawn, steps = make(render_mode="rgb_array"), itertools.count()
+            assert play_env(drawn, seed, MAX_STEPS, lambda: next(steps) % 20 or drawn.render()) == alone, (
                 "it differs when it is rendered"
             )
             drawn.close()
@@ -198,19 +200,6 @@ def _play_new(make: Make, seed: int) -> str:
     return play_env(make(), seed, MAX_STEPS)
 
 
-def _every(n: int, act: Callable[[], object]) -> Callable[[], None]:
-    """A function that calls `act` at its first call and then at every n-th."""
-    calls = 0
-
-    def maybe() -> None:
-        nonlocal calls
-        if calls % n == 0:
-            act()
-        calls += 1
-
-    return maybe
-
-
 def _in_another_process(episode: Callable[[], str], hash_seed: str) -> str:
     """The result of `episode` in a new Python process with this PYTHONHASHSEED."""
     code = "import pickle, sys; print(); print(pickle.load(sys.stdin.buffer)())"
@@ -229,11 +218,6 @@ def _in_another_process(episode: Callable[[], str], hash_seed: str) -> str:
 @contextlib.contextmanager
 def _quiet_and_without_screen() -> Iterator[None]:
     """Silence PettingZoo's tests, and open no pygame windows unless a video driver is set."""
-    driver = os.environ.get("SDL_VIDEODRIVER")
-    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            yield
-    finally:
-        if driver is None:
-            del os.environ["SDL_VIDEODRIVER"]
+    with mock.patch.dict(os.environ), contextlib.redirect_stdout(io.StringIO()):
+        os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+        yield

@@ -5,26 +5,14 @@ environment is one with a single episode.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xmarl_envs.actions import action_shape, pushes
-from xmarl_envs.task import Bools, Floats, State, Task, distance
+from xmarl_envs.task import Bools, Floats, State, Step, Task, distance
 from xmarl_envs.world import World
-
-
-class Step(NamedTuple):
-    """The result of a step of all B episodes."""
-
-    observation: NDArray[np.float32]  # (B, N, D)
-    reward: Floats  # (B, N)
-    terminated: Bools  # (B,) the team is done
-    truncated: Bools  # (B,) max_cycles reached and the team not done
-    success: Bools  # (B, N)
-    agent_collision: Bools  # (B, N)
-    object_collision: Bools  # (B, N)
 
 
 class VectorEnv:
@@ -56,19 +44,15 @@ class VectorEnv:
         # 0-d arrays: numpy takes longer to convert a Python float than to compute a small team.
         self._contact_distance = np.array(2 * task.radius + task.collision_gap)
         self._u_mult, self._one = np.array(task.u_mult), np.array(1)
-        self._action_shape = (n_episodes, *action_shape(task))
+        self.action_shape = (n_episodes, *action_shape(task))  # of what `step` takes
         self._first, self._second = np.triu_indices(n_agents, k=1)
         pairs = np.arange(self._first.size)
         # (pairs, N): 1 for both agents of a pair; contacts (B, pairs) @ it counts each agent's partners.
         self._incidence: Floats = np.zeros((self._first.size, n_agents))
         self._incidence[pairs, self._first] = 1.0
         self._incidence[pairs, self._second] = 1.0
-        self._state = State(self.world.position, self.world.velocity, self._targets, self._walls)
-
-    @property
-    def state(self) -> State:
-        """Views, not copies: the next step overwrites positions and velocities."""
-        return self._state
+        # Views, not copies: the next step overwrites positions and velocities.
+        self.state = State(self.world.position, self.world.velocity, self._targets, self._walls)
 
     def reset(self, seeds: Sequence[int], episodes: ArrayLike | None = None) -> NDArray[np.float32]:
         """Begin the given episodes (all by default), one seed each; returns all observations (B, N, D).
@@ -107,20 +91,17 @@ class VectorEnv:
         return self.observe()
 
     def observe(self) -> NDArray[np.float32]:
-        return self.task.observe(self._state).astype(np.float32)
-
-    @property
-    def action_shape(self) -> tuple[int, ...]:
-        """Of what `step` takes: (B, N, 2), or (B, N) where actions are discrete."""
-        return self._action_shape
+        return self.task.observe(self.state).astype(np.float32)
 
     def step(self, action: NDArray[Any], live: Bools | None = None) -> Step:
-        """Apply actions of `action_shape` (see xmarl_envs.actions) for one cycle of 0.1 s.
+        """Apply actions (B, N, 2), or (B, N) where they are discrete, for one cycle of 0.1 s.
+
+        See xmarl_envs.actions.
 
         live: (B,) episodes to advance. The others may stay as they are; ignore their results.
         """
-        if action.shape != self._action_shape:
-            raise ValueError(f"actions must have shape {self._action_shape}, got {action.shape}.")
+        if action.shape != self.action_shape:
+            raise ValueError(f"actions must have shape {self.action_shape}, got {action.shape}.")
         push = pushes(self.task, action)
         before = self.world.position.copy()
         close = self.world.step(push * self._u_mult, live)  # float64, whatever dtype the actions have
@@ -134,7 +115,7 @@ class VectorEnv:
             touching = apart <= self._contact_distance
             if np.count_nonzero(touching):
                 contacts[which] = touching.astype(np.float64) @ self._incidence
-        reward, done, success, object_collision = self.task.judge(before, self._state, contacts)
+        reward, done, success, object_collision = self.task.judge(before, self.state, contacts)
         truncated = (self.cycles >= self.max_cycles) > done  # and not done
         collision = contacts.astype(np.bool_)
         return Step(self.observe(), reward, done, truncated, success, collision, object_collision)

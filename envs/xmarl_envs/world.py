@@ -30,17 +30,15 @@ class World:
             raise ValueError(
                 f"n_episodes and copies_per_space must be at least 1, got {n_episodes}, {copies_per_space}."
             )
-        self.task = task
-        self.n_episodes = n_episodes
-        self.copies_per_space = min(copies_per_space, n_episodes)
+        copies_per_space = min(copies_per_space, n_episodes)
         self.position: Floats = np.zeros((n_episodes, task.n_agents, 2))
         self.velocity: Floats = np.zeros((n_episodes, task.n_agents, 2))
         self._walls: Floats = np.zeros((n_episodes, task.n_walls, 2))
         self._spaces: SeparateSpaces | SharedSpaces
-        if self.copies_per_space == 1:
+        if copies_per_space == 1:
             self._spaces = SeparateSpaces(task, n_episodes)
         else:
-            self._spaces = SharedSpaces(task, n_episodes, self.copies_per_space)
+            self._spaces = SharedSpaces(task, n_episodes, copies_per_space)
 
     def place(
         self, episodes: NDArray[np.intp], agents: Floats, walls: Floats, velocity: Floats | None = None

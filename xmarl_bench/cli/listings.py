@@ -50,7 +50,7 @@ def policies() -> tuple[list[Row], list[InputError]]:
     rows: list[Row] = []
     for name, place in found.items():
         if not isinstance(place, Path):
-            rows.append({"name": name, **dict.fromkeys((*_OF_CARD, "success")), "code": str(place)})
+            rows.append({"name": name, **dict.fromkeys((*_OF_CARD, "success")), "code": place.value})
             continue
         try:
             card = load_card(place)

@@ -13,13 +13,12 @@ DIGITS = 6  # significant ones: rounding of another machine shall not hide a cop
 
 def mask_digest(entry: Entry, cell: CellResult) -> str:
     """Equal for two entries whose masks score the same on every episode, to DIGITS digits; 16 digits."""
-    rows = [[row.seed, *map(_rounded, _scores(row))] for row in cell.episodes]
+    rows = [
+        [row.seed, *(_rounded(getattr(row, name)) for name in ExplanationRow.model_fields)]
+        for row in cell.episodes
+    ]
     content = [entry.policy.weights_sha256, cell.task, cell.n_agents, cell.max_cycles, rows]
     return hashlib.sha256(canonical_json(content)).hexdigest()[:16]
-
-
-def _scores(row: ExplanationRow) -> list[float | None]:
-    return [getattr(row, name) for name in ExplanationRow.model_fields]
 
 
 def _rounded(value: float | None) -> str | None:

@@ -13,8 +13,4 @@ class Record(BaseModel):
 
 def left_out() -> Any:
     """The default of a field that is None in older entries: left out of the text then, so ids stay."""
-    return Field(default=None, exclude_if=_is_none)
-
-
-def _is_none(value: object) -> bool:
-    return value is None
+    return Field(default=None, exclude_if=lambda value: value is None)

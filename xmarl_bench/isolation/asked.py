@@ -6,6 +6,7 @@ number of teams.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -120,10 +121,7 @@ class AskedPolicy(PolicyElsewhere):
         return self._row_wise
 
     def shuffled(self, seed: int) -> AskedPolicy:
-        other = AskedPolicy(
-            self.source, self.pickled, self.architecture, key=self.key, row_wise=self.row_wise,
-            memory_dim=self.memory_dim, no_attention=self._no_attention,
-        )  # fmt: skip
+        other = copy.copy(self)
         other.seed = seed
         return other
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NoReturn
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from xmarl_bench.entry.schema import ExplainerRecord
 from xmarl_bench.errors import InputError
@@ -20,12 +20,17 @@ from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.simulator import SIMULATOR, Simulated
 from xmarl_bench.isolation.asked import Asked
-from xmarl_bench.isolation.conversation import PLAIN, Isolation, Source, conversation, sendable
+from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.code_hash import object_sha256
 from xmarl_bench.origin.references import Origin
 from xmarl_bench.records.field_types import Text
-from xmarl_bench.records.strict_json import first_error, shown
+
+# Fields of an Explainer that are declared under their own names.
+DECLARED = (
+    "name", "summary", "stochastic", "slow", "control", "hyperparameters", "batched", "binary", "signed",
+    "node_importance", "absence",
+)  # fmt: skip
 
 
 class Declared(ExplainerRecord):
@@ -39,7 +44,7 @@ class Declared(ExplainerRecord):
     hyperparameters: Annotated[dict[Text, bool | int | float | Text | None], Field(max_length=100)]
 
 
-def isolate(explainer: Explainer, isolation: Isolation = PLAIN) -> Explainer:
+def isolate(explainer: Explainer, isolation: Isolation) -> Explainer:
     """The same explainer, asked over a pipe: it is sent to its process by value.
 
     Raises InputError if it cannot be pickled.
@@ -47,7 +52,13 @@ def isolate(explainer: Explainer, isolation: Isolation = PLAIN) -> Explainer:
     content = sendable(f"explainer {explainer.name!r}", replace(explainer, elsewhere=None))
     key = object_sha256(replace(explainer, summary="", origin=None)) or secrets.token_hex()
     source = Source(f"explainer {explainer.name}", {"what": "load", "pickled": content}, isolation)
-    return _asking(explainer, Asked(source, key))
+    return replace(
+        explainer,
+        explain=Simulated(_not_here) if explainer.simulates else _not_here,
+        fit=None if explainer.fit is None else _not_here,
+        origin=explainer.origin or origin_of_explainer(explainer),
+        elsewhere=Asked(source, key),
+    )
 
 
 def find_elsewhere(
@@ -60,37 +71,16 @@ def find_elsewhere(
     load = {"what": "load", "explainer": name}
     source = Source(f"explainer {Path(name).name}", load, isolation, tuple(readable))
     header = conversation(source).declared
-    try:
+    with reading_answer(source):
         declared = Declared.model_validate(header, strict=False)
-    except ValidationError as error:
-        problem, where = first_error(error)
-        raise InputError(
-            f"explainer {name!r} declares no valid {shown(where)} ({shown(problem)}): correct it."
-        ) from None
-    found = Explainer(
-        **{
-            name: getattr(declared, name)
-            for name in (
-                "name", "summary", "stochastic", "slow", "control", "hyperparameters", "batched", "binary",
-                "signed", "node_importance", "absence",
-            )
-        },
+    its_own = Origin(declared.distribution, declared.version, declared.entry_point, declared.code_sha256)
+    return Explainer(
+        **{field: getattr(declared, field) for field in DECLARED},
         explain=Simulated(_not_here) if declared.accesses == SIMULATOR else _not_here,
         accesses=None if declared.accesses == SIMULATOR else declared.accesses,
         fit=_not_here if declared.needs_fit else None,
-        origin=origin
-        or Origin(declared.distribution, declared.version, declared.entry_point, declared.code_sha256),
-    )  # fmt: skip
-    return _asking(found, Asked(source, declared.key or secrets.token_hex()))
-
-
-def _asking(explainer: Explainer, asked: Asked) -> Explainer:
-    return replace(
-        explainer,
-        explain=Simulated(_not_here) if explainer.simulates else _not_here,
-        fit=None if explainer.fit is None else _not_here,
-        origin=explainer.origin or origin_of_explainer(explainer),
-        elsewhere=asked,
+        origin=origin or its_own,
+        elsewhere=Asked(source, declared.key or secrets.token_hex()),
     )
 
 

@@ -14,7 +14,6 @@ import select
 import shutil
 import signal
 import socket
-import subprocess
 import sys
 import tempfile
 import time
@@ -22,7 +21,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from importlib import import_module, invalidate_caches
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import psutil
 
@@ -63,16 +62,16 @@ def keep(config: dict[str, Any], questions: int, answers: int, harness: int) -> 
         told.sendall(json.dumps({"code": code, "limit": limit}).encode())
 
 
-def _started(config: dict[str, Any]) -> Process:
+def _started(config: dict[str, Any]) -> Forked:
     """The stranger's process: a command behind a wall of its own, or a fork that closes itself in."""
-    if config["command"] is not None:
-        return subprocess.Popen(config["command"])
     process_id = os.fork()
     if process_id:
         return Forked(process_id)
     code = 1
     try:
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+        if config["command"] is not None:
+            os.execvp(config["command"][0], config["command"])
         sys.path[:] = config["path"]
         invalidate_caches()
         if "numpy" in sys.modules:  # else all forks draw the same random numbers
@@ -83,15 +82,6 @@ def _started(config: dict[str, Any]) -> Process:
         os._exit(code)
 
 
-class Process(Protocol):
-    """What a keeper needs of the process it keeps."""
-
-    pid: int
-
-    def poll(self) -> int | None:
-        """The exit code, negative for a signal; None while the process runs."""
-
-
 class Forked:
     """A fork of this process."""
 
@@ -100,6 +90,7 @@ class Forked:
         self._code: int | None = None
 
     def poll(self) -> int | None:
+        """The exit code, negative for a signal; None while the process runs."""
         if self._code is None:
             with suppress(ChildProcessError):
                 found, status = os.waitpid(self.pid, os.WNOHANG)
@@ -113,7 +104,7 @@ def prctl(option: int, value: int) -> None:
         ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
 
 
-def _wait(process: Process, harness: socket.socket, parent: int, limits: Limits) -> str | None:
+def _wait(process: Forked, harness: socket.socket, parent: int, limits: Limits) -> str | None:
     """Wait for the end of the process or of the harness, or for a limit: returns which."""
     used, measured = Used(), time.monotonic()
     while process.poll() is None and os.getppid() == parent:
@@ -169,7 +160,7 @@ def _descendants() -> Iterator[psutil.Process]:
         yield from psutil.Process().children(recursive=True)
 
 
-def _end_all(process: Process) -> None:
+def _end_all(process: Forked) -> None:
     """End every process that descends from this one: stop them first, so that they start no others."""
     deadline = time.monotonic() + GRACE
     while time.monotonic() < deadline:

@@ -10,36 +10,26 @@ import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import prod
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from xmarl_envs import TASKS
+from xmarl_envs import TASKS, Step
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
 from xmarl_bench.origin.plugins import origin_of_plugin
-from xmarl_bench.origin.references import (
-    Origin,
-    check_named,
-    is_reference,
-    located,
-    origin_of,
-)
-from xmarl_bench.records.field_types import Text
-from xmarl_bench.tasks.interface import ArrayStep
+from xmarl_bench.origin.references import Origin, located, origin_of
+from xmarl_bench.records.field_types import Name, Text
 from xmarl_bench.tasks.sources import (
-    NAME,
     TaskSource,
-    check_trust,
     known_task,
     open_task,
     opened_tasks,
+    place_of,
     register,
-    task_plugins,
 )
 
 KEPT = 16  # tasks of a process, each with a team size
@@ -60,7 +50,7 @@ class ToldOrigin(_Told):
 class ToldSource(_Told):
     """What a process tells of what makes the task."""
 
-    name: Annotated[str, Field(pattern=NAME)]
+    name: Name
     origin: ToldOrigin
     key: Text | None
     observation_names: tuple[Text, ...]
@@ -78,21 +68,23 @@ class ToldTask(_Told):
     environment: ToldOrigin
 
 
-def ask_task(task: str | Callable[..., Any], isolation: Isolation, *, trust_code: bool = False) -> TaskSource:
+def ask_task(
+    task: str | Callable[..., Any], isolation: Isolation | None, *, trust_code: bool = False
+) -> TaskSource:
     """As `open_task`, but a task that is not of xmarl_envs runs in a process of its own.
 
-    Raises InputError as `open_task` does, and if the process fails.
+    isolation: None: in this process. Raises InputError as `open_task` does, and if the process fails.
     """
+    if isolation is None:
+        return open_task(task, trust_code=trust_code)
     if not isinstance(task, str):
         if task in TASKS.values():
             return open_task(task)
         name = str(getattr(task, "__name__", type(task).__name__))
         return ask_pickled(sendable(f"task {name!r}", task), name, isolation, origin_of(task))
-    plugin = None if is_reference(task) else task_plugins().get(task)
-    if task in TASKS or (plugin is None and not is_reference(task)):
-        check_named(task)
-        return known_task(task)
-    check_trust(task, trust_code)
+    plugin = place_of(task, trust_code=trust_code)
+    if isinstance(plugin, TaskSource):
+        return plugin
     if plugin is not None:
         known = opened_tasks().get(task)
         if isinstance(known, AskedSource) and known.source.isolation == isolation:
@@ -122,7 +114,7 @@ def _opened(source: Source, origin: Origin | None, name: str | None) -> TaskSour
     found = AskedSource(
         told.name,
         _not_here,
-        origin or Origin(**told.origin.model_dump()),
+        origin or Origin(**vars(told.origin)),
         source,
         told.key or secrets.token_hex(),
         told.observation_names,
@@ -154,7 +146,7 @@ class AskedSource(TaskSource):
         return self.names
 
     def environment(self, n_agents: int) -> Origin:
-        return Origin(**self.make(n_agents).told.environment.model_dump())
+        return self.make(n_agents).environment
 
 
 @lru_cache(maxsize=KEPT)
@@ -166,7 +158,8 @@ def _made(source: AskedSource, n_agents: int, continuous: bool | None) -> AskedT
         told = ToldTask.model_validate(header)
     if len(told.observation_names) not in (0, told.obs_dim):
         raise InputError(f"{source.source.name} names another number of observation entries: correct it.")
-    return AskedTask(source, n_agents, continuous, told)
+    environment = Origin(**vars(told.environment))
+    return AskedTask(source, n_agents, continuous, **{**vars(told), "environment": environment})
 
 
 @dataclass(frozen=True)
@@ -175,36 +168,18 @@ class AskedTask:
 
     source: AskedSource
     n_agents: int
-    continuous: bool | None
-    told: ToldTask
+    continuous: bool | None  # asked for; None: its own actions
+    obs_dim: int
+    observation_names: tuple[str, ...]
+    continuous_actions: bool
+    action_width: int
+    default_max_cycles: int
+    has_objects: bool
+    environment: Origin
 
     @property
     def name(self) -> str:
         return self.source.name
-
-    @property
-    def obs_dim(self) -> int:
-        return self.told.obs_dim
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        return self.told.observation_names
-
-    @property
-    def continuous_actions(self) -> bool:
-        return self.told.continuous_actions
-
-    @property
-    def action_width(self) -> int:
-        return self.told.action_width
-
-    @property
-    def default_max_cycles(self) -> int:
-        return self.told.default_max_cycles
-
-    @property
-    def has_objects(self) -> bool:
-        return self.told.has_objects
 
     def with_actions(self, continuous: bool) -> AskedTask:
         if continuous == self.continuous_actions:
@@ -233,10 +208,10 @@ class AskedEpisodes:
         (observation,) = self._ask("reset", [self._seen], seeds=[int(each) for each in seeds], episodes=which)
         return self._checked(observation)
 
-    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> ArrayStep:
+    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> Step:
         each, told = ("<f8", self.teams), ("?", self.teams[:1])
         kinds = [self._seen, each, told, told, each, each, each]
-        step = ArrayStep(*self._ask("step_task", kinds, action=action, live=live))
+        step = Step(*self._ask("step_task", kinds, action=action, live=live))
         self._checked(step.observation)
         return step
 
@@ -253,14 +228,10 @@ class AskedEpisodes:
         """The process's arrays, of the given types and shapes. Raises InputError if they are not that."""
         process, ended = conversation(self.source), _ended.pop(self.source.token, [])
         _, payload = process.ask({"what": what, "ended": ended, **self.whose, **more})
-        sizes = [np.dtype(kind).itemsize * prod(shape) for kind, shape in kinds]
-        if len(payload) != sum(sizes):
+        expected = np.dtype([("", *kind) for kind in kinds])
+        if len(payload) != expected.itemsize:
             raise InputError(f"{self.source.name} answered with other shapes than its own: correct it.")
-        found, first = [], 0
-        for (kind, shape), size in zip(kinds, sizes, strict=True):
-            found.append(np.frombuffer(payload[first : first + size], dtype=kind).reshape(shape).copy())
-            first += size
-        return found
+        return [array.copy() for array in np.frombuffer(payload, expected)[0]]
 
 
 _ended: dict[str, list[str]] = {}  # by token: numbers of episodes that nobody plays any more

@@ -27,7 +27,7 @@ class Profile:
     band: tuple[tuple[float, float], ...]  # (U + 1,) interval of each share
 
 
-def performance_profile(scores: ArrayLike, confidence: float = CONFIDENCE) -> Profile:
+def performance_profile(scores: ArrayLike) -> Profile:
     """(G,) scores of training runs -> the share of them above tau. Skips scores that are not numbers."""
     x = np.asarray(scores, dtype=np.float64)
     x = x[~np.isnan(x)]
@@ -36,7 +36,7 @@ def performance_profile(scores: ArrayLike, confidence: float = CONFIDENCE) -> Pr
     return Profile(
         taus=tuple(taus.tolist()),
         shares=tuple((above / max(1, x.size)).tolist()),
-        band=tuple(share_interval(int(k), x.size, confidence) for k in above),
+        band=tuple(share_interval(int(k), x.size) for k in above),
     )
 
 

@@ -84,18 +84,12 @@ def over_runs(
     return _difference(means, sum(run.size for run in pairs), n_nan, confidence, design)
 
 
-def over_units(
-    a: Sequence[ArrayLike],
-    b: Sequence[ArrayLike],
-    *,
-    design: Design | None = None,
-    confidence: float = CONFIDENCE,
-) -> Difference:
+def over_units(a: Sequence[ArrayLike], b: Sequence[ArrayLike], *, design: Design | None = None) -> Difference:
     """As `over_runs`; a single run gives a statement about this run alone, with its episodes as units."""
     if len(a) != 1:
-        return over_runs(a, b, design=design, confidence=confidence)
+        return over_runs(a, b, design=design)
     (episodes,), n_nan = _pairs(a, b)
-    return _difference(episodes, episodes.size, n_nan, confidence)
+    return _difference(episodes, episodes.size, n_nan)
 
 
 def over_samples(a: ArrayLike, b: ArrayLike, *, confidence: float = CONFIDENCE) -> Difference:
@@ -203,7 +197,7 @@ def groups_by_head(n: int, tied: Callable[[int, int], bool]) -> list[int]:
 
 
 def _difference(
-    units: Floats, n: int, n_nan: int, confidence: float, design: Design | None = None
+    units: Floats, n: int, n_nan: int, confidence: float = CONFIDENCE, design: Design | None = None
 ) -> Difference:
     if not units.size:
         return Difference(None, None, None, 0, n, n_nan)

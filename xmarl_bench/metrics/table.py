@@ -122,7 +122,7 @@ FAMILIES: Final = {
 }
 
 
-def _communication(base: Metric, column: int | None = None, short: str | None = None) -> Metric:
+def _communication(base: Metric, column: int | None = None) -> Metric:
     return replace(
         base,
         name=f"comm_{base.name}",
@@ -133,7 +133,7 @@ def _communication(base: Metric, column: int | None = None, short: str | None = 
         of_categoricals=None,
         needs=tuple(Need.THREE_AGENTS if each is Need.TWO_AGENTS else each for each in base.needs),
         column=column,
-        short=short,
+        short=None,
         in_paper=False,
     )
 

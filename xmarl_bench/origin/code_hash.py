@@ -13,7 +13,14 @@ import hashlib
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from types import CodeType, FunctionType, GetSetDescriptorType, MemberDescriptorType, ModuleType
+from types import (
+    CodeType,
+    FunctionType,
+    GetSetDescriptorType,
+    MemberDescriptorType,
+    ModuleType,
+    SimpleNamespace,
+)
 from typing import Any
 
 import cloudpickle
@@ -40,11 +47,11 @@ def harness_sources() -> Iterator[tuple[str, Path]]:
 
 def object_sha256(thing: object) -> str | None:
     """The hash; None if the object cannot be pickled or its sources cannot be read."""
-    digest = _Digest()
+    digest = hashlib.sha256()
     try:
-        pickler = _ByValue(digest)
+        pickler = _ByValue(SimpleNamespace(write=digest.update))
         pickler.dump(thing)
-        return f"{digest.sha256.hexdigest()}{sources_sha256(_sources_of(pickler.files))}"
+        return f"{digest.hexdigest()}{sources_sha256(_sources_of(pickler.files))}"
     except Exception:  # __reduce__ of the user's classes may raise anything
         return None
 
@@ -65,21 +72,10 @@ def _package_of(file: Path) -> tuple[Path, str]:
     return top, "**/*.py" if (top / "__init__.py").exists() else "*.py"
 
 
-class _Digest:
-    """A file that keeps only the hash of what was written."""
-
-    def __init__(self) -> None:
-        self.sha256 = hashlib.sha256()
-
-    def write(self, data: bytes) -> int:
-        self.sha256.update(data)
-        return len(data)
-
-
 class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
     """Pickles the user's own code by value, without the random ids and memory addresses of cloudpickle."""
 
-    def __init__(self, file: _Digest) -> None:
+    def __init__(self, file: SimpleNamespace) -> None:
         super().__init__(file)
         self.files: set[Path] = set()  # files of the user's own code, as they occur
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 
 HARNESS = ("xmarl_bench", "xmarl_envs")
 INSTALLED = {"site-packages", "dist-packages"}
+_distributions = cache(packages_distributions)
 
 
 def package_version(name: str) -> str | None:
@@ -47,8 +47,3 @@ def places_of(module: str) -> list[Path]:
     file = getattr(top, "__file__", None)
     folders = [*getattr(top, "__path__", [])]
     return [Path(each) for each in folders or ([] if file is None else [file])]
-
-
-@cache
-def _distributions() -> Mapping[str, list[str]]:
-    return packages_distributions()

@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
 from typing import Any
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.origin.references import Origin
+
+
+def plugins_by_name(
+    registered: Iterable[EntryPoint], what: str, taken: Mapping[str, str]
+) -> dict[str, EntryPoint]:
+    """Entry points by name, sorted. Loads nothing. Raises InputError if two share a name.
+
+    what: an entry point names, for messages. taken: names that ours have, with what has each of them.
+    """
+    plugins: dict[str, EntryPoint] = {}
+    for plugin in registered:
+        other = plugins[plugin.name].value if plugin.name in plugins else taken.get(plugin.name)
+        if other is not None:
+            raise InputError(f"{what} {plugin.name!r} ({plugin.value}) has the name of {other}: rename one.")
+        plugins[plugin.name] = plugin
+    return dict(sorted(plugins.items()))
 
 
 def load_plugin(plugin: EntryPoint) -> Any:

@@ -10,9 +10,10 @@ import inspect
 import sys
 import textwrap
 import tokenize
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -49,22 +50,24 @@ def check_named(name: str) -> None:
         raise InputError(f"{name} cannot be read ({error.strerror}): give path/to/file.py:NAME.") from None
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise InputError(f"{name} is not Python ({error}): give path/to/file.py:NAME.") from None
-    names: list[str] = []
-    for each in body:
-        if isinstance(each, ast.FunctionDef | ast.ClassDef):
-            names.append(each.name)
-        elif isinstance(each, ast.Assign | ast.AnnAssign):
-            targets = each.targets if isinstance(each, ast.Assign) else [each.target]
-            names += [
-                part.id
-                for target in targets
-                for part in ast.walk(target)
-                if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
-            ]
-    public = [found for found in dict.fromkeys(names) if not found.startswith("_")]
+    public = [found for found in definitions(body) if not found.startswith("_")]
     raise InputError(
         f"{name} is a file of code: give {name}:NAME with one of its names: {', '.join(public) or 'none'}."
     )
+
+
+def definitions(body: Iterable[ast.stmt]) -> dict[str, ast.AST]:
+    """The names that statements define, with the function, the class or the value (in part) of each."""
+    found: dict[str, ast.AST] = {}
+    for each in body:
+        if isinstance(each, ast.FunctionDef | ast.ClassDef):
+            found[each.name] = each
+        elif isinstance(each, ast.Assign | ast.AnnAssign):
+            targets = each.targets if isinstance(each, ast.Assign) else [each.target]
+            for part in chain.from_iterable(map(ast.walk, targets)):
+                if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store):
+                    found[part.id] = each.value or each
+    return found
 
 
 def check_reference(reference: str) -> None:

@@ -6,7 +6,6 @@ cannot be pickled or loaded is an error of that unit alone.
 
 from __future__ import annotations
 
-import os
 import pickle
 import tempfile
 import traceback
@@ -77,10 +76,9 @@ def kept_in(folder: str, answer: bytes) -> Answer:
         return answer
 
     def keep() -> Path:
-        descriptor, name = tempfile.mkstemp(dir=folder)
-        with os.fdopen(descriptor, "wb") as file:
+        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
             file.write(answer)
-        return Path(name)
+        return Path(file.name)
 
     return attempt(keep)
 

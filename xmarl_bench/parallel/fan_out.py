@@ -81,11 +81,21 @@ def in_order(
     progress: str | None = None,
 ) -> Iterator[Result]:
     """Results in the order of `units`. Raises the exception of the first unit that fails."""
+
+    def results() -> Iterator[tuple[int, Result]]:
+        for index, result in fan_out(function, units, workers=workers, progress=progress):
+            if isinstance(result, Failure):
+                raise result.raised
+            yield index, result
+
+    return ordered(results())
+
+
+def ordered(numbered: Iterable[tuple[int, Result]]) -> Iterator[Result]:
+    """The results numbered 0, 1, 2 ..., each once it and all lower ones have come."""
     waiting: dict[int, Result] = {}
     following = 0
-    for index, result in fan_out(function, units, workers=workers, progress=progress):
-        if isinstance(result, Failure):
-            raise result.raised
+    for index, result in numbered:
         waiting[index] = result
         while following in waiting:
             yield waiting.pop(following)

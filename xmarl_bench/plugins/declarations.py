@@ -17,6 +17,7 @@ from typing import Any
 
 from xmarl_bench.explain.control_names import BY_ZERO, STOCHASTIC, SUMMARIES
 from xmarl_bench.origin.installed import package_version
+from xmarl_bench.origin.references import definitions
 from xmarl_bench.plugins.names import explainer_plugins
 
 POSITIONAL = ("name", "explain", "summary")  # the first parameters of Explainer
@@ -53,7 +54,7 @@ def declared_explainers() -> list[Declared]:
         )
         for name, summary in SUMMARIES.items()
     ]
-    return controls + [_of_plugin(plugin) for _, plugin in sorted(explainer_plugins().items())]
+    return controls + [_of_plugin(plugin) for plugin in explainer_plugins().values()]
 
 
 def _of_plugin(plugin: EntryPoint) -> Declared:
@@ -67,15 +68,7 @@ def _of_plugin(plugin: EntryPoint) -> Declared:
     except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
         return unknown
     found = declarations(body, plugin.attr)
-    if found is None:
-        return unknown
-    return replace(
-        unknown,
-        stochastic=found["stochastic"],
-        slow=found["slow"],
-        absence=found["absence"],
-        summary=found["summary"],
-    )
+    return unknown if found is None else replace(unknown, **found)
 
 
 def source_of(module: str) -> Path | None:
@@ -92,28 +85,17 @@ def source_of(module: str) -> Path | None:
 
 def declarations(body: Iterable[ast.stmt], name: str) -> dict[str, Any] | None:
     """What the object `name` of a module declares; None if the module does not show it."""
-    defined: dict[str, ast.stmt | ast.expr] = {}
-    for each in body:
-        if isinstance(each, ast.FunctionDef | ast.ClassDef):
-            defined[each.name] = each
-        elif isinstance(each, ast.Assign) and isinstance(each.targets[0], ast.Name):
-            defined[each.targets[0].id] = each.value
-        elif isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name) and each.value:
-            defined[each.target.id] = each.value
-    return _declared(defined[name], defined) if name in defined else None
+    defined = definitions(body)
+    return _declared(defined.get(name), defined)
 
 
-def _declared(thing: ast.stmt | ast.expr, defined: dict[str, Any]) -> dict[str, Any] | None:
+def _declared(thing: ast.AST | None, defined: dict[str, ast.AST]) -> dict[str, Any] | None:
     if isinstance(thing, ast.Name):
-        return _declared(defined[thing.id], defined) if thing.id in defined else None
+        return _declared(defined.get(thing.id), defined)
     if isinstance(thing, ast.FunctionDef | ast.ClassDef):
         own = {"summary": (ast.get_docstring(thing) or "").partition("\n")[0]}
         if isinstance(thing, ast.ClassDef):
-            own |= _values(
-                (each.targets[0].id, each.value)
-                for each in thing.body
-                if isinstance(each, ast.Assign) and isinstance(each.targets[0], ast.Name)
-            )
+            own |= _values(definitions(thing.body).items())
         calls = [each for each in thing.decorator_list if isinstance(each, ast.Call)]
         return DEFAULTS | own | {key: value for each in calls for key, value in _keywords(each).items()}
     if not isinstance(thing, ast.Call):
@@ -126,14 +108,14 @@ def _declared(thing: ast.stmt | ast.expr, defined: dict[str, Any]) -> dict[str, 
         if inner is None or called == "as_explainer":
             return None if inner is None else inner | _keywords(thing)
         return inner | {"summary": f"{inner['summary']}; an agent always hears itself"}
-    return _declared(defined[called], defined) if called in defined else None  # Class(...)
+    return _declared(defined.get(called), defined)  # Class(...)
 
 
 def _keywords(call: ast.Call) -> dict[str, Any]:
     return _values((each.arg, each.value) for each in call.keywords)
 
 
-def _values(pairs: Iterable[tuple[str | None, ast.expr]]) -> dict[str, Any]:
+def _values(pairs: Iterable[tuple[str | None, ast.AST]]) -> dict[str, Any]:
     """Literals, and members of Absence; None for what is computed."""
     values: dict[str, Any] = {}
     for key, value in pairs:

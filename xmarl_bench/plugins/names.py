@@ -10,7 +10,6 @@ its own, and the second nowhere.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -19,7 +18,7 @@ from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.explain.control_names import SUMMARIES as CONTROL_NAMES
 from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.isolation.process import Stranger
-from xmarl_bench.origin.plugins import load_plugin, plugin_error
+from xmarl_bench.origin.plugins import load_plugin, plugin_error, plugins_by_name
 from xmarl_bench.origin.references import check_named, is_reference
 from xmarl_bench.policy.untrusted import CARD
 
@@ -27,19 +26,12 @@ OURS = "xmarl-bench"  # the distribution whose code runs in the harness's proces
 EXPLAINERS, POLICIES = "xmarl_bench.explainers", "xmarl_bench.policies"
 
 
-@dataclass(frozen=True)
-class PolicyCode:
-    """A policy that an installed package makes by running its code."""
-
-    plugin: EntryPoint
-
-    def __str__(self) -> str:
-        return self.plugin.value
+Place = Path | EntryPoint  # of a policy: the folder or zip of its bundle, or the plugin whose code makes it
 
 
 def explainer_names() -> list[str]:
     """Controls first, then plugins by name. Loads nothing."""
-    return [*CONTROL_NAMES, *sorted(explainer_plugins())]
+    return [*CONTROL_NAMES, *explainer_plugins()]
 
 
 def is_shipped(name: str) -> bool:
@@ -60,15 +52,8 @@ def explainer_plugin(name: str) -> EntryPoint:
 
 
 def explainer_plugins() -> dict[str, EntryPoint]:
-    plugins: dict[str, EntryPoint] = {}
-    for plugin in entry_points(group=EXPLAINERS):
-        if plugin.name in CONTROL_NAMES or plugin.name in plugins:
-            other = plugins[plugin.name].value if plugin.name in plugins else "a control of xmarl-bench"
-            raise InputError(
-                f"explainer {plugin.name!r} ({plugin.value}) has the name of {other}: rename one."
-            )
-        plugins[plugin.name] = plugin
-    return plugins
+    controls = dict.fromkeys(CONTROL_NAMES, "a control of xmarl-bench")
+    return plugins_by_name(entry_points(group=EXPLAINERS), "explainer", controls)
 
 
 def find_policies() -> dict[str, Path]:
@@ -88,12 +73,14 @@ def find_policy(name_or_bundle: str) -> Path:
     if _is_bundle(name_or_bundle):
         return Path(name_or_bundle)
     place = _registered_policy(name_or_bundle)
-    if isinstance(place, PolicyCode):
-        raise InputError(f"policy {name_or_bundle!r} is code ({place}) and has no bundle: choose another.")
+    if isinstance(place, EntryPoint):
+        raise InputError(
+            f"policy {name_or_bundle!r} is code ({place.value}) and has no bundle: choose another."
+        )
     return place
 
 
-def place_of(name: str, *, trust_code: bool = False) -> Path | PolicyCode | None:
+def place_of(name: str, *, trust_code: bool = False) -> Place | None:
     """The bundle of a policy, or its code; None for a reference `module:factory`, which is not loaded.
 
     Raises InputError if there is no such policy, and for code without `trust_code`.
@@ -117,7 +104,7 @@ def _is_bundle(name: str) -> bool:
     return (path / CARD).is_file() or (looks_like_one and not is_reference(name))
 
 
-def _registered_policy(name: str) -> Path | PolicyCode:
+def _registered_policy(name: str) -> Place:
     """A registered policy. Raises InputError for an unknown name: of a plugin that failed to load, if any."""
     policies, failures = registered_policies()
     if name in policies:
@@ -127,12 +114,12 @@ def _registered_policy(name: str) -> Path | PolicyCode:
     raise unknown("policy", name, policies, "or give the folder of a bundle, or module:factory")
 
 
-def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError]]:
+def registered_policies() -> tuple[dict[str, Place], list[InputError]]:
     """Every registered policy by name, and the errors of the plugins that failed to load.
 
     Raises InputError if two policies have the same name.
     """
-    found: dict[str, Path | PolicyCode] = {}
+    found: dict[str, Place] = {}
     failures: list[InputError] = []
     for plugin in entry_points(group=POLICIES):
         try:
@@ -142,9 +129,8 @@ def registered_policies() -> tuple[dict[str, Path | PolicyCode], list[InputError
             continue
         for name, place in places.items():
             if name in found:
-                raise InputError(
-                    f"policy {name!r} is registered twice ({found[name]} and {place}): rename one."
-                )
+                one, other = (each if isinstance(each, Path) else each.value for each in (found[name], place))
+                raise InputError(f"policy {name!r} is registered twice ({one} and {other}): rename one.")
             found[name] = place
     return dict(sorted(found.items())), failures
 
@@ -160,27 +146,24 @@ def _is_ours(plugin: EntryPoint) -> bool:
     return plugin.dist is None or plugin.dist.name == OURS
 
 
-def _places(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
+def _places(plugin: EntryPoint) -> dict[str, Place]:
     """The policies of a plugin, which is loaded in a process of its own if another package registered it."""
     if _is_ours(plugin):
         places = places_of_plugin(plugin)
-        return {
-            name: place if isinstance(place, Path) else PolicyCode(plugin) for name, place in places.items()
-        }
+        return {name: place if isinstance(place, Path) else plugin for name, place in places.items()}
     return _places_elsewhere(plugin)
 
 
 @cache  # a package does not change while it is imported, and a process takes up to five seconds
-def _places_elsewhere(plugin: EntryPoint) -> dict[str, Path | PolicyCode]:
+def _places_elsewhere(plugin: EntryPoint) -> dict[str, Place]:
     with Stranger(f"plugin {plugin.name} ({plugin.value})", UNLIMITED, "process", light=True) as process:
         plain = plugin.name, plugin.value, plugin.group
         listed, _ = process.ask({"what": "policies", "plugin": plain})
     folders, code = listed.get("folders"), listed.get("code")
     if not isinstance(folders, dict) or not isinstance(code, list):
         raise InputError(f"policy plugin {plugin.name!r} lists no policies: correct or uninstall it.")
-    return {str(name): Path(str(folder)) for name, folder in folders.items()} | {
-        str(name): PolicyCode(plugin) for name in code
-    }
+    found: dict[str, Place] = {str(name): Path(str(folder)) for name, folder in folders.items()}
+    return found | {str(name): plugin for name in code}
 
 
 def places_of_plugin(plugin: EntryPoint) -> dict[str, Path | Callable[[], object]]:

@@ -61,13 +61,13 @@ def find_explainer(name: str) -> Explainer:
     return checked_name(replace(explainer, origin=origin))
 
 
-def ask_explainer(name: str, isolation: Isolation = PLAIN) -> Explainer:
+def ask_explainer(name: str, isolation: Isolation | None = PLAIN) -> Explainer:
     """As `find_explainer`, but one that is not shipped is loaded and asked in a process of its own.
 
-    Raises InputError as `find_explainer` does, and if the process fails.
+    isolation: None: in this process. Raises InputError as `find_explainer` does, and if the process fails.
     """
     check_named(name)
-    if is_shipped(name):
+    if isolation is None or is_shipped(name):
         return find_explainer(name)
     if is_reference(name):
         name, readable, origin = located(name)
@@ -79,9 +79,12 @@ def ask_explainer(name: str, isolation: Isolation = PLAIN) -> Explainer:
     return checked_name(found)
 
 
-def isolated(explainer: Explainer, isolation: Isolation = PLAIN) -> Explainer:
-    """An explainer made in Python, asked in a process of its own unless it is a shipped one."""
-    if explainer.elsewhere is not None or is_shipped_code(explainer):
+def isolated(explainer: Explainer, isolation: Isolation | None = PLAIN) -> Explainer:
+    """An explainer made in Python, asked in a process of its own unless it is a shipped one.
+
+    isolation: None: in this process.
+    """
+    if isolation is None or explainer.elsewhere is not None or is_shipped_code(explainer):
         return explainer
     return isolate(explainer, isolation)
 
@@ -111,24 +114,23 @@ def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyC
     place = place_of(name, trust_code=trust_code)
     if isinstance(place, Path):
         return load_policy(place)
-    return run_policy(name, None if place is None else place.plugin)
+    return run_policy(name, place)
 
 
 def ask_policy(
-    name: str, isolation: Isolation = PLAIN, *, trust_code: bool = False
+    name: str, isolation: Isolation | None, *, trust_code: bool = False
 ) -> tuple[Policy, PolicyCard]:
     """As `open_policy`, but a policy that is code runs in a process of its own.
 
-    Raises InputError as `open_policy` does, and if the process fails.
+    isolation: None: in this process. Raises InputError as `open_policy` does, and if the process fails.
     """
     place = place_of(name, trust_code=trust_code)
-    if isinstance(place, Path):
-        return load_policy(place)
+    if isolation is None or isinstance(place, Path):
+        return open_policy(name, trust_code=trust_code)
     if place is not None:
-        plugin = place.plugin
-        question: dict[str, Any] = {"policy": name, "plugin": (plugin.name, plugin.value, plugin.group)}
+        question: dict[str, Any] = {"policy": name, "plugin": (place.name, place.value, place.group)}
         policy, card = open_elsewhere(
-            Source(f"policy {name}", None, isolation), question, origin_of_plugin(plugin, "")
+            Source(f"policy {name}", None, isolation), question, origin_of_plugin(place, "")
         )
         if card.name != name:
             raise InputError(f"policy plugin {name!r} calls itself {card.name!r}: use one name for both.")

@@ -8,11 +8,10 @@ from __future__ import annotations
 import json
 import os
 import pickle
-import signal
 import struct
 import sys
 import tempfile
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import IO, Any
@@ -32,7 +31,7 @@ def serve(config: dict[str, Any]) -> None:
     with Path(os.devnull).open("r+b") as nowhere:
         for descriptor in (0, 1, 2):
             os.dup2(nowhere.fileno(), descriptor)
-    prctl(PARENT_DEATH, signal.SIGTERM.value if os.name != "posix" else 9)
+    prctl(PARENT_DEATH, 9)  # SIGKILL, which Windows does not name
     Limits(**config["limits"]).apply()
     if config["wall"] == "landlock":
         close_in([Path(each) for each in config["readable"]], Path(tempfile.gettempdir()))
@@ -85,6 +84,7 @@ class Worker:
         """Load an explainer, which runs its code; returns its declarations."""
         from xmarl_bench.explain.adapters import origin_of_explainer
         from xmarl_bench.explain.simulator import SIMULATOR
+        from xmarl_bench.isolation.explainers import DECLARED
         from xmarl_bench.origin.code_hash import object_sha256
         from xmarl_bench.plugins.registry import find_explainer
 
@@ -95,19 +95,12 @@ class Worker:
         if name is None:
             return {}, b""
         found, origin = self.explainer, origin_of_explainer(self.explainer)
-        same = (
-            "name", "summary", "stochastic", "slow", "control", "batched", "binary", "signed",
-            "node_importance", "absence",
-        )  # fmt: skip
         declared = {
-            **{each: getattr(found, each) for each in same},
+            **{field: getattr(found, field) for field in DECLARED},
+            **asdict(origin),
             "hyperparameters": dict(found.hyperparameters),
             "accesses": SIMULATOR if found.simulates else found.accesses,
             "needs_fit": found.fit is not None,
-            "distribution": origin.distribution,
-            "version": origin.version,
-            "entry_point": origin.entry_point,
-            "code_sha256": origin.code_sha256,
             "seed": 0,
             "key": object_sha256(replace(found, summary="", origin=None)),
         }

@@ -8,14 +8,15 @@ from importlib.metadata import EntryPoint
 from typing import Any
 
 import numpy as np
+from xmarl_envs import Step
 
 from xmarl_bench.origin.code_hash import object_sha256
 from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin
-from xmarl_bench.tasks.interface import ArrayStep, TeamEpisodes, TeamTask
+from xmarl_bench.tasks.interface import TeamEpisodes, TeamTask
 from xmarl_bench.tasks.sources import TaskSource, open_factory, open_task
 
 Answer = tuple[dict[str, Any], bytes]
-ARRAYS = ArrayStep._fields[1:]  # the observation goes first, in its own type
+ARRAYS = Step._fields[1:]  # the observation goes first, in its own type
 FLAGS = ("terminated", "truncated")
 
 

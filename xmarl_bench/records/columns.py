@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import NoneType
 from typing import Annotated, Any, get_args
 
@@ -28,15 +29,14 @@ class ByColumn:
         return core_schema.json_or_python_schema(
             core_schema.no_info_after_validator_function(self._rows, columns),
             rows,
-            serialization=core_schema.plain_serializer_function_ser_schema(self._columns, when_used="json"),
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                partial(_columns, self.row), when_used="json"
+            ),
         )
 
     def _rows(self, columns: BaseModel) -> tuple[BaseModel | None, ...]:
         n = next(len(column) for _, column in columns if isinstance(column, tuple))
         return tuple(_rows(self.row, columns, n))
-
-    def _columns(self, rows: Sequence[BaseModel]) -> Json:
-        return _columns(self.row, rows)
 
 
 def columns_model(row: type[BaseModel], *, gaps: bool = False) -> type[BaseModel]:

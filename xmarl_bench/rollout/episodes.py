@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -10,13 +11,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from xmarl_envs import Step
 
 from xmarl_bench.metrics.table import Group, Need, metrics_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.teams_apart import step_teams
 from xmarl_bench.reproducible import one_thread, torch_defaults
 from xmarl_bench.rollout.cell import Cell
-from xmarl_bench.tasks.interface import TeamStep, TeamTask
+from xmarl_bench.tasks.interface import TeamTask
 
 Floats = NDArray[np.float32]
 
@@ -41,17 +43,12 @@ class Episode:
 
 def mean_metrics(task: TeamTask, episodes: Sequence[Episode]) -> dict[str, float | None]:
     """Means of the task metrics over episodes; None for a metric that the task does not have or not tell."""
-    lacking = set() if task.has_objects else {Need.WALLS}
-    values = {
-        metric.name: np.array([getattr(episode, metric.name) for episode in episodes])
-        for metric in metrics_of(Group.TASK)
-        if not lacking & set(metric.needs)
-    }
-    told = {name: each[~np.isnan(each)] for name, each in values.items()}
-    return {
-        metric.name: float(np.mean(told[metric.name])) if len(told.get(metric.name, ())) else None
-        for metric in metrics_of(Group.TASK)
-    }
+    means: dict[str, float | None] = {}
+    for metric in metrics_of(Group.TASK):
+        told = [value for each in episodes if not math.isnan(value := getattr(each, metric.name))]
+        measured = told and (task.has_objects or Need.WALLS not in metric.needs)
+        means[metric.name] = float(np.mean(told)) if measured else None
+    return means
 
 
 class Act(Protocol):
@@ -200,12 +197,12 @@ class _Recorder:
         self._return = 0.0
         self._agent_collision = self._object_collision = 0.0  # 1: there was one; NaN: the task does not tell
 
-    def add(self, step: TeamStep, slot: int) -> None:
+    def add(self, step: Step, slot: int) -> None:
         self._return += float(step.reward[slot].mean())
         self._agent_collision = float(np.maximum(self._agent_collision, step.agent_collision[slot].max()))
         self._object_collision = float(np.maximum(self._object_collision, step.object_collision[slot].max()))
 
-    def episode(self, last: TeamStep, slot: int) -> Episode:
+    def episode(self, last: Step, slot: int) -> Episode:
         return Episode(
             seed=self.seed,
             observations=np.stack(self.observations),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 from xmarl_bench.entry.aggregation import SANITY, Acted, cell_metrics, control_metrics, sampling_error
 from xmarl_bench.entry.metric_records import BehaviourRow, ControlMetrics, EpisodeRow, SanityRow
@@ -70,14 +71,9 @@ def cell_result(
 ) -> tuple[CellResult, Cost]:
     """A cell's result and its cost. All its pieces must be complete."""
     sampling = request.sampling
-    episodes = [each for piece in needed.episodes for each in results.episodes(piece)]
-    mute = [each for piece in needed.mute for each in results.episodes(piece)]
-    shared = [each for piece in needed.shared for each in results.shared(piece)]
-    explained = [each for piece in needed.explained for each in results.explained(piece)]
-    played, absences, by_chance, by_chance_absences = (
-        [results.played(piece) for piece in pieces]
-        for pieces in (needed.behaviour, needed.absences, needed.random_behaviour, needed.random_absences)
-    )
+    of_pieces = [[results.get(piece) for piece in pieces] for pieces in needed]
+    episodes, mute, shared, explained = (list(chain(*each)) for each in of_pieces[:4])
+    played, absences, by_chance, by_chance_absences = of_pieces[4:]
     reasons = not_measured(request, cell, episodes)
     rows = tuple(
         episode_row(cell, *parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from xmarl_bench.entry.protocol import definitions
 from xmarl_bench.entry.provenance import provenance
@@ -65,10 +66,8 @@ def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:
     """The record of an explainer in an entry. seed: of the run."""
     origin = origin_of_explainer(explainer)
     return ExplainerRecord(
+        **asdict(origin),
         name=explainer.name,
-        distribution=origin.distribution,
-        version=origin.version,
-        entry_point=origin.entry_point,
         hyperparameters=dict(explainer.hyperparameters),
         stochastic=explainer.stochastic,
         control=explainer.control,
@@ -79,7 +78,6 @@ def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:
         node_importance=explainer.node_importance,
         needs_fit=explainer.fit is not None,
         accesses=SIMULATOR if explainer.simulates else explainer.accesses,
-        code_sha256=origin.code_sha256,
         isolated=None if explainer.elsewhere is not None or is_shipped_code(explainer) else False,
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from math import isnan
 
 import torch
@@ -19,40 +19,32 @@ from xmarl_bench.tasks.parallel_task import AGENT_COLLISION, OBJECT_COLLISION, S
 
 def not_measured(request: Request, cell: Cell, episodes: Sequence[Episode]) -> dict[str, str]:
     """Metric -> reason, without a full stop. episodes: those that are scored."""
-    missing = {need: why for need, why in _reasons(request, cell, episodes) if why is not None}
-    return {
-        metric.name: next(missing[need] for need in metric.needs if need in missing)
-        for metric in METRICS
-        if missing.keys() & set(metric.needs)
-    }
-
-
-def _reasons(request: Request, cell: Cell, episodes: Sequence[Episode]) -> Iterator[tuple[Need, str | None]]:
-    """Each need with the reason why it is not met; None if it is met."""
-    policy, n_agents = request.policy, cell.n_agents
-    for need, least in ((Need.TWO_AGENTS, 2), (Need.THREE_AGENTS, 3)):
-        few = n_agents < least
-        yield need, f"needs {least} agents, so that there is something to rank" if few else None
-    yield Need.ORACLE, why_no_oracle(policy, n_agents)
-    known = isinstance(policy, GraphPolicy)
-    reason = "needs a policy with one layer of one head, whose coefficients are known"
-    yield Need.COEFFICIENTS, None if known else reason
+    policy, explainer, n_agents = request.policy, request.explainer, cell.n_agents
+    unknown = "needs a policy with one layer of one head, whose coefficients are known"
     deterministic = request.card.architecture.distribution == "deterministic"
-    reason = "the policy is deterministic: it has no distribution to compare"
-    yield Need.DISTRIBUTION, reason if deterministic else None
-    stochastic = request.explainer.stochastic
-    yield Need.SEEDS, None if stochastic else "the explainer says that it is not stochastic"
-    reason = (
-        why_no_behaviour(request.explainer, n_agents)
-        or "not asked for, since it asks the explainer at every step"
-    )
-    yield Need.PLAYED, None if request.behaviours(cell) else reason
+    no_distribution = "the policy is deterministic: it has no distribution to compare"
+    few = "needs {} agents, so that there is something to rank"
     keys = f"{', '.join(SUCCESS_KEYS[:-1])} or {SUCCESS_KEYS[-1]}"
-    yield Need.SUCCESS, _untold("success_rate", keys, episodes)
-    yield Need.COLLISIONS, _untold("no_agent_collision", AGENT_COLLISION, episodes)
-    nothing = None if cell.make().has_objects else "the task has no walls"
-    yield Need.WALLS, nothing or _untold("no_object_collision", OBJECT_COLLISION, episodes)
-    yield Need.ATTENTION, policy.why_no_attention(torch.tensor(episodes[0].observations[:1]))
+    not_played = (
+        why_no_behaviour(explainer, n_agents) or "not asked for, since it asks the explainer at every step"
+    )
+    hits = _untold("no_object_collision", OBJECT_COLLISION, episodes)
+    # The reason why a need is not met; None or empty if it is met.
+    reasons: dict[Need, str | None] = {
+        Need.TWO_AGENTS: few.format(2) if n_agents < 2 else None,
+        Need.THREE_AGENTS: few.format(3) if n_agents < 3 else None,
+        Need.ORACLE: why_no_oracle(policy, n_agents),
+        Need.COEFFICIENTS: None if isinstance(policy, GraphPolicy) else unknown,
+        Need.DISTRIBUTION: no_distribution if deterministic else None,
+        Need.SEEDS: None if explainer.stochastic else "the explainer says that it is not stochastic",
+        Need.PLAYED: None if request.behaviours(cell) else not_played,
+        Need.SUCCESS: _untold("success_rate", keys, episodes),
+        Need.COLLISIONS: _untold("no_agent_collision", AGENT_COLLISION, episodes),
+        Need.WALLS: hits if cell.make().has_objects else "the task has no walls",
+        Need.ATTENTION: policy.why_no_attention(torch.tensor(episodes[0].observations[:1])),
+    }
+    first = {metric.name: next(filter(None, map(reasons.get, metric.needs)), None) for metric in METRICS}
+    return {name: reason for name, reason in first.items() if reason is not None}
 
 
 def _untold(metric: str, keys: str, episodes: Sequence[Episode]) -> str | None:

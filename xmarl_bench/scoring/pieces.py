@@ -8,9 +8,11 @@ rolling the team out on an explainer's masks, under the absence model zero (`beh
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import partial
+from itertools import chain, zip_longest
+from typing import Literal, NamedTuple
 
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES
 from xmarl_bench.policy import Policy, PolicyCard
@@ -73,11 +75,9 @@ class Piece:
         return f"{block.environment.card.name}, {what}, episodes {block.first}-{last}"
 
 
-@dataclass(frozen=True)
-class Needs:
+class Needs(NamedTuple):
     """The pieces of one cell of a request's entry, in the order of its episodes."""
 
-    environment: Environment
     episodes: tuple[Piece, ...]
     mute: tuple[Piece, ...]  # the same episodes without messages between agents
     shared: tuple[Piece, ...]
@@ -87,63 +87,47 @@ class Needs:
     random_behaviour: tuple[Piece, ...]  # on messages chosen at random
     random_absences: tuple[Piece, ...]
 
-    def __iter__(self) -> Iterator[Piece]:
-        yield from self.episodes
-        yield from self.mute
-        yield from self.shared
-        yield from self.explained
-        yield from self.behaviour
-        yield from self.absences
-        yield from self.random_behaviour
-        yield from self.random_absences
-
 
 def needs(request: Request, cell: Cell, keys: Keys) -> Needs:
     environment, sampling = Environment.of(request, cell, keys), request.sampling
-    n_played = request.behaviours(cell)
     name, its_key = request.explainer.name, keys.explainer(request.explainer)
-
-    def played(kind: Kind) -> tuple[Piece, ...]:
-        return tuple(
-            Piece(kind, block, None, None, piece_key(kind, *block.key()))
-            for block in blocks(environment, sampling.seeds, BLOCK)
-        )
-
-    episodes = played("episodes")
-    acted: dict[Kind, tuple[Block, ...]] = {
-        "behaviour": tuple(blocks(environment, sampling.seeds[:n_played], BEHAVIOUR_BLOCK)),
-        "absences": tuple(
-            blocks(environment, sampling.seeds[: request.absence_behaviours(cell)], ABSENCE_EPISODES)
-        ),
-    }
-
-    def explained(kind: Kind, by: str | None, *keys: str) -> tuple[Piece, ...]:
-        t = sampling.timesteps
-        return tuple(
-            Piece(kind, of.block, t, by, piece_key(kind, *of.block.key(), t, *keys), of) for of in episodes
-        )
-
-    def behaviour(kind: Kind, by: str | None, *keys: str) -> tuple[Piece, ...]:
-        return tuple(
-            Piece(kind, block, None, by, piece_key(kind, *block.key(), *keys)) for block in acted[kind]
-        )
-
+    seeds, n_acted, n_others = sampling.seeds, request.behaviours(cell), request.absence_behaviours(cell)
+    played = blocks(environment, seeds, BLOCK)
+    acted = blocks(environment, seeds[:n_acted], BEHAVIOUR_BLOCK)
+    others = blocks(environment, seeds[:n_others], ABSENCE_EPISODES)
+    episodes = _pieces("episodes", played)
+    explained = partial(_pieces, blocks=played, timesteps=sampling.timesteps, sources=episodes)
     return Needs(
-        environment,
-        episodes,
-        played("mute"),
-        explained("shared", None, f"initial seed {request.card.initial_seed}"),
-        explained("explained", name, its_key),
-        behaviour("behaviour", name, its_key),
-        behaviour("absences", name, its_key),
-        behaviour("behaviour", None),
-        behaviour("absences", None),
+        episodes=episodes,
+        mute=_pieces("mute", played),
+        shared=explained("shared", key=f"initial seed {request.card.initial_seed}"),
+        explained=explained("explained", explainer=name, key=its_key),
+        behaviour=_pieces("behaviour", acted, explainer=name, key=its_key),
+        absences=_pieces("absences", others, explainer=name, key=its_key),
+        random_behaviour=_pieces("behaviour", acted),
+        random_absences=_pieces("absences", others),
     )
 
 
-def blocks(environment: Environment, seeds: list[int], size: int) -> Iterator[Block]:
-    for first in range(0, len(seeds), size):
-        yield Block(environment, first, tuple(seeds[first : first + size]))
+def _pieces(
+    kind: Kind,
+    blocks: Sequence[Block],
+    *,
+    explainer: str | None = None,
+    key: str | None = None,  # of what the results depend on besides the blocks
+    timesteps: int | None = None,
+    sources: Sequence[Piece] = (),
+) -> tuple[Piece, ...]:
+    return tuple(
+        Piece(kind, block, timesteps, explainer, piece_key(kind, block.key(), timesteps, key), source)
+        for block, source in zip_longest(blocks, sources)
+    )
+
+
+def blocks(environment: Environment, seeds: list[int], size: int) -> list[Block]:
+    return [
+        Block(environment, first, tuple(seeds[first : first + size])) for first in range(0, len(seeds), size)
+    ]
 
 
 @dataclass(frozen=True)
@@ -159,7 +143,7 @@ class Plan:
 
     def __iter__(self) -> Iterator[Piece]:
         for each in self.needs:
-            yield from each
+            yield from chain(*each)
 
     @property
     def piece_keys(self) -> list[str]:

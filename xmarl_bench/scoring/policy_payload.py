@@ -26,39 +26,27 @@ class PolicyPayload(Generic[Work]):
         self._policy = policy
 
     def __reduce__(self) -> tuple[Any, ...]:
-        rest = io.BytesIO()
-        _Pickler(rest, self._policy).dump(self.work)
-        return _arrived, (bytes(cloudpickle.dumps(self._policy)), rest.getvalue())
+        policy, rest = self._policy, io.BytesIO()
+
+        class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
+            def persistent_id(self, obj: object) -> str | None:
+                return "policy" if obj is policy else None
+
+        Pickler(rest).dump(self.work)
+        return _arrived, (bytes(cloudpickle.dumps(policy)), rest.getvalue())
 
 
-def _arrived(policy: bytes, rest: bytes) -> PolicyPayload[Any]:
-    network = _loaded(policy)
-    return PolicyPayload(_Unpickler(io.BytesIO(rest), network).load(), network)
+def _arrived(pickled: bytes, rest: bytes) -> PolicyPayload[Any]:
+    policy = _loaded(pickled)
+
+    class Unpickler(pickle.Unpickler):
+        def persistent_load(self, pid: object) -> Policy:
+            return policy
+
+    return PolicyPayload(Unpickler(io.BytesIO(rest)).load(), policy)
 
 
 @lru_cache(maxsize=POLICIES_KEPT)
-def _loaded(policy: bytes) -> Policy:
-    network: Policy = pickle.loads(policy)
-    return network
-
-
-class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]
-    """Leaves the policy out."""
-
-    def __init__(self, file: io.BytesIO, policy: Policy) -> None:
-        super().__init__(file)
-        self._policy = policy
-
-    def persistent_id(self, obj: object) -> str | None:
-        return "policy" if obj is self._policy else None
-
-
-class _Unpickler(pickle.Unpickler):
-    """Puts the policy back in its place."""
-
-    def __init__(self, file: io.BytesIO, policy: Policy) -> None:
-        super().__init__(file)
-        self._policy = policy
-
-    def persistent_load(self, pid: object) -> Policy:
-        return self._policy
+def _loaded(pickled: bytes) -> Policy:
+    policy: Policy = pickle.loads(pickled)
+    return policy

@@ -63,14 +63,12 @@ def plan(
     these, or ALL. Raises InputError if such a name is not an explainer of the run.
     """
     check_among(no_behaviour, [explainer.name for explainer in explainers])
-    any_slow = slow is not None and slow != sampling and any(explainer.slow for explainer in explainers)
-    requests = []
-    for policy, card, cells in policies:
-        for explainer in explainers:
-            samplings = [sampling]
-            if any_slow and slow is not None:
-                samplings = [slow] if explainer.slow else [sampling, slow]
-            none = ALL in no_behaviour or explainer.name in no_behaviour
-            played = 0 if none else behaviour_episodes
-            requests += [Request(policy, card, explainer, cells, each, played) for each in samplings]
-    return requests
+    if slow is None or not any(explainer.slow for explainer in explainers):
+        slow = sampling
+    unplayed = {explainer.name for explainer in explainers if {ALL, explainer.name} & set(no_behaviour)}
+    return [
+        Request(policy, card, each, cells, chosen, 0 if each.name in unplayed else behaviour_episodes)
+        for policy, card, cells in policies
+        for each in explainers
+        for chosen in dict.fromkeys((slow,) if each.slow else (sampling, slow))
+    ]

@@ -45,24 +45,13 @@ class Results:
     def has(self, piece: Piece) -> bool:
         return self._find(piece) is not None
 
-    def write(self, piece: Piece, result: Result) -> None:
-        data = _encode(piece, result)
+    def write(self, piece: Piece, result: Any) -> None:
+        data = _encode_episodes(result) if piece.kind in PLAYED else JSON[piece.kind].dump_json(result)
         self.cache.write(piece.key, data)
         self._remember(piece, result, len(data))
 
-    def episodes(self, piece: Piece) -> list[Episode]:
-        return self._get(piece)  # type: ignore[return-value]
-
-    def shared(self, piece: Piece) -> list[Shared]:
-        return self._get(piece)  # type: ignore[return-value]
-
-    def explained(self, piece: Piece) -> list[Explained]:
-        return self._get(piece)  # type: ignore[return-value]
-
-    def played(self, piece: Piece) -> Played:
-        return self._get(piece)  # type: ignore[return-value]
-
-    def _get(self, piece: Piece) -> Result:
+    def get(self, piece: Piece) -> Any:
+        """The piece's `Result`, whose type its kind tells. Raises InputError if it is missing."""
         result = self._find(piece)
         if result is None:
             raise InputError(
@@ -92,10 +81,6 @@ class Results:
         self._recent[piece.key] = result, size
         while self._size > MEMORY:
             self._size -= self._recent.popitem(last=False)[1][1]
-
-
-def _encode(piece: Piece, result: Any) -> bytes:
-    return _encode_episodes(result) if piece.kind in PLAYED else JSON[piece.kind].dump_json(result)
 
 
 def _decode(piece: Piece, data: bytes) -> Any:

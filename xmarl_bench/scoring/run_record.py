@@ -7,7 +7,6 @@ import os
 import shlex
 import socket
 import sys
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,11 +73,10 @@ class RunRecord:
         keys = {key for each in self.asked for key in each.pieces}
         done = {key for key in keys if cache.has(key)}
         failures = {key: text for key in sorted(keys - done) if (text := cache.failure(key)) is not None}
-        by_explainer = Counter[str]()
-        of_explainer = Counter[str]()
+        explainers: dict[str, tuple[int, int]] = {}
         for each in self.asked:
-            of_explainer[each.explainer] += len(each.own)
-            by_explainer[each.explainer] += sum(key in done for key in each.own)
+            ready, needed = explainers.get(each.explainer, (0, 0))
+            explainers[each.explainer] = ready + len(done.intersection(each.own)), needed + len(each.own)
         running = None
         if self.host == socket.gethostname():
             running = done != keys and is_running(self.pid)
@@ -88,7 +86,7 @@ class RunRecord:
             pieces=len(keys),
             entries=sum(all(key in done for key in each.pieces) for each in self.asked),
             failures=failures,
-            explainers={name: (by_explainer[name], of_explainer[name]) for name in of_explainer},
+            explainers=explainers,
         )
 
 

@@ -21,16 +21,10 @@ from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.isolation.policies import is_code_here, isolate_policy
 from xmarl_bench.isolation.tasks import ask_task
 from xmarl_bench.origin.references import origin_of
+from xmarl_bench.parallel.fan_out import ordered
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.plugins.code_policies import open_module
-from xmarl_bench.plugins.registry import (
-    ask_explainer,
-    ask_policy,
-    checked_name,
-    find_explainer,
-    isolated,
-    open_policy,
-)
+from xmarl_bench.plugins.registry import ask_explainer, ask_policy, checked_name, isolated
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.policy.device import CPU
 from xmarl_bench.policy.policy_module import PolicyModule
@@ -45,7 +39,6 @@ from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.results import Results
 from xmarl_bench.scoring.run_record import RunRecord
 from xmarl_bench.scoring.sweep import Sweep
-from xmarl_bench.tasks.sources import open_task
 
 
 @dataclass(frozen=True)
@@ -107,24 +100,14 @@ def score(
     InputError if an argument is invalid or the explainer fails.
     """
     isolation = Isolation(replace(UNLIMITED, answer_seconds=answer_seconds)) if isolate else None
-
-    def task_name(task: str | Callable[..., Any]) -> str:
-        if isolation is None:
-            return open_task(task, trust_code=trust_code).name
-        return ask_task(task, isolation, trust_code=trust_code).name
-
-    where = None if task is None else task_name(task)
+    given = None if task is None else ask_task(task, isolation, trust_code=trust_code)
     network, card = _opened(policy, isolation, trust_code=trust_code)
     if isinstance(explainer, str):
-        chosen = find_explainer(explainer) if isolation is None else ask_explainer(explainer, isolation)
-        chosen = on_device(chosen, device)
-    else:
-        chosen = checked_name(as_explainer(explainer))
-        chosen = on_device(chosen, device)  # before it is sent to its process
-        chosen = chosen if isolation is None else isolated(chosen, isolation)
-    if where is None:
-        where = task_name(card.task)
-    cell = Cell(where, card.n_agents if n_agents is None else n_agents)
+        chosen = on_device(ask_explainer(explainer, isolation), device)
+    else:  # its device is set before it is sent to its process
+        chosen = isolated(on_device(checked_name(as_explainer(explainer)), device), isolation)
+    played = given or ask_task(card.task, isolation, trust_code=trust_code)
+    cell = Cell(played.name, card.n_agents if n_agents is None else n_agents)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
     request = Request(network, card, chosen, (cell,), sampling, behaviour_episodes)
     outcomes = score_requests(
@@ -148,15 +131,10 @@ def _opened(
     trust_code: bool,
 ) -> tuple[Policy, PolicyCard]:
     if isinstance(policy, str | Path):
-        if isolation is None:
-            return open_policy(str(policy), trust_code=trust_code)
         return ask_policy(str(policy), isolation, trust_code=trust_code)
-    if isinstance(policy, PolicyModule):
-        if isolation is None:
-            return open_module(policy, origin_of(policy.network))
-    elif isolation is None or not is_code_here(*policy):
-        return policy
-    return isolate_policy(policy, isolation)
+    if isolation is not None and (isinstance(policy, PolicyModule) or is_code_here(*policy)):
+        return isolate_policy(policy, isolation)
+    return open_module(policy, origin_of(policy.network)) if isinstance(policy, PolicyModule) else policy
 
 
 def score_requests(
@@ -193,7 +171,7 @@ def score_requests(
     sweep = Sweep(results, explainers, workers, parallel_episodes, progress)
     settled = sweep.compute(piece for plan in plans for piece in plan)
     complete = _complete(plans, sweep.unsettled, settled)
-    for k in _in_order(complete) if in_order else complete:
+    for k in ordered((k, k) for k in complete) if in_order else complete:
         plan = plans[k]
         error = next((sweep.errors[piece.key] for piece in plan if piece.key in sweep.errors), None)
         if error is not None:
@@ -215,17 +193,6 @@ def _complete(plans: Sequence[Plan], unsettled: Collection[str], settled: Iterab
             waiting[k].remove(piece.key)
             if not waiting[k]:
                 yield k
-
-
-def _in_order(numbers: Iterable[int]) -> Iterator[int]:
-    """0, 1, 2 ..., each once it and all lower ones have come."""
-    come: set[int] = set()
-    following = 0
-    for k in numbers:
-        come.add(k)
-        while following in come:
-            yield following
-            following += 1
 
 
 def entries_of(outcomes: Iterable[Entry | Failed]) -> Iterator[Entry]:

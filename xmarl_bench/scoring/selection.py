@@ -7,7 +7,7 @@ torch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +23,6 @@ from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_checkpoint
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.scoring.arguments import ALL, check_fit
-from xmarl_bench.tasks.sources import open_task
 
 if TYPE_CHECKING:
     from xmarl_bench.explain.explainer import Explainer
@@ -36,23 +35,16 @@ FINISHED, DEFAULT = "finished", "default"
 
 
 @dataclass(frozen=True)
-class Installed:
-    """A policy of which only the card was read."""
+class Chosen:
+    """A policy of which only the card was read, and its cells in the run."""
 
     card: PolicyCard
-    open: Callable[[], Opened]
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """A policy of a run with its cells."""
-
-    installed: Installed
-    cells: tuple[Cell, ...]
+    opened: Callable[[], Opened]
+    cells: tuple[Cell, ...] = ()
 
     def open(self) -> tuple[Policy, PolicyCard, tuple[Cell, ...]]:
         """Build its network."""
-        return *self.installed.open(), self.cells
+        return *self.opened(), self.cells
 
 
 def select_policies(
@@ -94,22 +86,20 @@ def choose_policies(
     """
     failures = list[InputError]()
 
-    def code(name: str) -> dict[str, Installed]:
+    def code(name: str) -> dict[str, Chosen]:
+        """A policy that is code, which makes its card as it runs; nothing if that fails."""
+        from xmarl_bench.plugins.registry import ask_policy  # imports torch
+
         try:
-            return {name: _code(name, isolation)}
+            opened = ask_policy(name, isolation, trust_code=True)
         except InputError as error:
             failures.append(error)
             return {}
+        return {name: Chosen(opened[1], lambda: opened)}
 
     sizes = _sizes(agents)
     isolation = None if limits is None else Isolation(limits)
-
-    def opened(task: str) -> str:
-        if isolation is None:
-            return open_task(task, trust_code=trust_code).name
-        return ask_task(task, isolation, trust_code=trust_code).name
-
-    wanted_tasks = [opened(task) for task in tasks if task != ALL]
+    wanted_tasks = [ask_task(task, isolation, trust_code=trust_code).name for task in tasks if task != ALL]
     any_task = ALL in tasks
     meant = _meant(names, code if trust_code else None)
     if meant is not None:
@@ -134,11 +124,11 @@ def choose_policies(
     if failures and not chosen:
         raise failures[0]
     selected: list[Chosen] = []
-    for name, installed in chosen.items():
-        card = installed.card
-        opened(card.task)
+    for name, policy in chosen.items():
+        card = policy.card
+        ask_task(card.task, isolation, trust_code=trust_code)
         # Names of policies are unique in a run, because files of entries are named by them.
-        if any(card.name == other.installed.card.name for other in selected):
+        if any(card.name == other.card.name for other in selected):
             raise InputError(
                 f"two policies are named {card.name!r} ({name} is one): rename one, or leave it out."
             )
@@ -147,13 +137,11 @@ def choose_policies(
             check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # raises the reason
         for cell in cells:
             check_fit(card, cell)
-        selected.append(Chosen(installed, cells))
+        selected.append(replace(policy, cells=cells))
     return selected, failures
 
 
-def _meant(
-    names: Sequence[str], code: Callable[[str], dict[str, Installed]] | None
-) -> dict[str, Installed] | None:
+def _meant(names: Sequence[str], code: Callable[[str], dict[str, Chosen]] | None) -> dict[str, Chosen] | None:
     """The policies meant by `all`, `finished`, `default` or a family, by name; None without such a word.
 
     code: opens policies that are code; None: leaves them out.
@@ -161,7 +149,7 @@ def _meant(
     installed, failures = registered_policies()
     if not set(names) - set(installed):
         return None
-    found: dict[str, Installed] = {}
+    found: dict[str, Chosen] = {}
     for name, place in installed.items():
         if isinstance(place, Path):
             try:
@@ -189,20 +177,9 @@ def _meant(
     }
 
 
-def _bundled(name: str, place: Path) -> dict[str, Installed]:
+def _bundled(name: str, place: Path) -> dict[str, Chosen]:
     card = load_card(place)
-    return {name: Installed(card, partial(load_policy, place, card))}
-
-
-def _code(name: str, isolation: Isolation | None) -> Installed:
-    """A policy that is code, which makes its card as it runs."""
-    from xmarl_bench.plugins.registry import ask_policy, open_policy  # imports torch
-
-    if isolation is None:
-        opened = open_policy(name, trust_code=True)
-    else:
-        opened = ask_policy(name, isolation, trust_code=True)
-    return Installed(opened[1], lambda: opened)
+    return {name: Chosen(card, partial(load_policy, place, card))}
 
 
 def explainers_meant(names: Sequence[str]) -> list[str]:
@@ -229,13 +206,14 @@ def select_explainers(
     limits: of the processes of explainers that are not shipped; None: all run in this process. Raises
     InputError if none loads.
     """
-    from xmarl_bench.plugins.registry import ask_explainer, find_explainer  # imports torch
+    from xmarl_bench.plugins.registry import ask_explainer  # imports torch
 
+    isolation = None if limits is None else Isolation(limits)
     found: list[Explainer] = []
     failures: list[InputError] = []
     for name in explainers_meant(names):
         try:
-            found.append(find_explainer(name) if limits is None else ask_explainer(name, Isolation(limits)))
+            found.append(ask_explainer(name, isolation))
         except InputError as error:
             failures.append(error)
     if failures and not found:

@@ -35,7 +35,6 @@ from xmarl_bench.scoring.enumerated import Enumerated, Table
 from xmarl_bench.scoring.rankings import Rankings, number
 from xmarl_bench.scoring.sampled import Sampled
 
-Floats = NDArray[np.float64]
 Edges = NDArray[np.bool_]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 from torch import Tensor
 
@@ -64,8 +65,9 @@ class Sweep:
     unsettled: set[str] = field(default_factory=set)
     errors: dict[str, str] = field(default_factory=dict)
     _ready: dict[tuple[Environment, str], Explainer] = field(default_factory=dict)  # fitted to its policy
-    _states: dict[Environment, Tensor] = field(default_factory=dict)  # that explainers are fitted on
-    _known_controls: dict[Environment, tuple[Explainer, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._fit_states, self._controls = cache(_fit_states), cache(_controls)
 
     def compute(self, pieces: Iterable[Piece]) -> Iterator[Piece]:
         """Yield each missing piece once it is settled: written to the cache, or in `errors`.
@@ -129,25 +131,21 @@ class Sweep:
 
         An explainer that works nowhere is settled by its errors. Raises InputError if none works anywhere.
         """
-        environments: dict[str, dict[Environment, list[Piece]]] = {}
+        explained: dict[tuple[str, Environment], list[Piece]] = {}
         for piece in pieces:
             if piece.explainer is not None:
-                environments.setdefault(piece.explainer, {}).setdefault(piece.block.environment, []).append(
-                    piece
-                )
-        any_works, reasons = False, list[InputError]()
-        for name, its_environments in environments.items():
-            works = name in self.proven
-            for environment, its_pieces in its_environments.items():
-                try:
-                    self._fit(name, environment)
-                    works = works or self._try(name, environment, its_pieces)
-                except InputError as error:
-                    reasons.append(error)
-                    for piece in its_pieces:
-                        self.errors[piece.key] = str(error)
-            any_works = any_works or works
-        if reasons and not any_works:
+                explained.setdefault((piece.explainer, piece.block.environment), []).append(piece)
+        reasons = list[InputError]()
+        for (name, environment), its_pieces in explained.items():
+            try:
+                self._fit(name, environment)
+                if name not in self.proven and self._try(name, environment, its_pieces):
+                    self.proven.add(name)
+            except InputError as error:
+                reasons.append(error)
+                for piece in its_pieces:
+                    self.errors[piece.key] = str(error)
+        if reasons and not any(name in self.proven for name, _ in explained):
             raise reasons[0]
         for piece in pieces:
             if piece.key in self.errors:
@@ -180,7 +178,7 @@ class Sweep:
                 again += [(piece,) for piece in group]
                 continue
             for piece in group:
-                yield self._settle(piece, result if isinstance(result, Failure) else _value(piece, result))
+                yield self._settle(piece, _value(piece, result))
         if again:
             yield from self._explain(again)
 
@@ -211,7 +209,7 @@ class Sweep:
                 controls=self._controls(environment),
                 shared=any(each.kind == "shared" for each in group),
             )
-            for k, episode in enumerate(self.results.episodes(source), start=piece.block.first)
+            for k, episode in enumerate(self.results.get(source), start=piece.block.first)
         )
 
     def _in_world(self, name: str, environment: Environment, episode: Episode) -> Explainer:
@@ -221,22 +219,9 @@ class Sweep:
             return ready
         return replace(ready, simulator=Simulator(cell.task, cell.n_agents, episode.seed))
 
-    def _fit_states(self, environment: Environment) -> Tensor:
-        if environment not in self._states:
-            cell = environment.cell
-            self._states[environment] = fit_states(
-                environment.policy, cell.task, cell.n_agents, environment.max_cycles
-            )
-        return self._states[environment]
-
     def _reference(self, environment: Environment) -> Tensor | None:
         """The states of `xmarl_bench.rollout.reference_states`, played once with those to fit on."""
         return self._fit_states(environment) if isinstance(environment.policy, GraphPolicy) else None
-
-    def _controls(self, environment: Environment) -> tuple[Explainer, ...]:
-        if environment not in self._known_controls:
-            self._known_controls[environment] = controls_of(environment.cell.task, environment.card)
-        return self._known_controls[environment]
 
     def _acting(self, piece: Piece) -> BehaviourBlock:
         environment, name = piece.block.environment, piece.explainer
@@ -257,13 +242,23 @@ class Sweep:
             self.errors[piece.key] = str(result)
             self.results.cache.fail(piece.key, str(result))
         else:
-            self.results.write(piece, result)  # type: ignore[arg-type]
+            self.results.write(piece, result)
         return piece
 
 
-def _value(piece: Piece, returned: Returned) -> Result | InputError:
+def _fit_states(environment: Environment) -> Tensor:
+    """The states that explainers are fitted on."""
+    cell = environment.cell
+    return fit_states(environment.policy, cell.task, cell.n_agents, environment.max_cycles)
+
+
+def _controls(environment: Environment) -> tuple[Explainer, ...]:
+    return controls_of(environment.cell.task, environment.card)
+
+
+def _value(piece: Piece, returned: Returned | Failure) -> Result | InputError | Failure:
     """The result of one piece from a worker's return value."""
-    if isinstance(returned, InputError | Played):
+    if isinstance(returned, Failure | InputError | Played):
         return returned
     if piece.explainer is None:
         return [each.shared for each in returned if each.shared is not None]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from xmarl_bench.entry.schema import TaskRecord
 from xmarl_bench.isolation.tasks import AskedSource
 from xmarl_bench.rollout.cell import Cell
@@ -14,10 +16,7 @@ def task_record(cell: Cell) -> TaskRecord | None:
         return None
     environment = cell.source.environment(cell.n_agents)
     return TaskRecord(
-        distribution=origin.distribution,
-        version=origin.version,
-        entry_point=origin.entry_point,
-        code_sha256=origin.code_sha256,
+        **asdict(origin),
         environment=environment.entry_point,
         environment_distribution=environment.distribution,
         environment_version=environment.version,

@@ -6,41 +6,11 @@ B is the number of episodes that are stepped together, N of agents, D of observa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-
-class TeamStep(Protocol):
-    """The result of a step of B episodes. What a task does not tell is NaN."""
-
-    @property
-    def observation(self) -> NDArray[np.float32]: ...  # (B, N, D)
-    @property
-    def reward(self) -> NDArray[np.float64]: ...  # (B, N)
-    @property
-    def terminated(self) -> NDArray[np.bool_]: ...  # (B,) the team is done
-    @property
-    def truncated(self) -> NDArray[np.bool_]: ...  # (B,) the time is over and the team not done
-    @property
-    def success(self) -> NDArray[Any]: ...  # (B, N), 0 or 1
-    @property
-    def agent_collision(self) -> NDArray[Any]: ...  # (B, N), 0 or 1
-    @property
-    def object_collision(self) -> NDArray[Any]: ...  # (B, N), 0 or 1
-
-
-class ArrayStep(NamedTuple):
-    """A `TeamStep` of arrays."""
-
-    observation: NDArray[np.float32]
-    reward: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    success: NDArray[np.float64]
-    agent_collision: NDArray[np.float64]
-    object_collision: NDArray[np.float64]
+from xmarl_envs import Step
 
 
 class TeamEpisodes(Protocol):
@@ -53,7 +23,7 @@ class TeamEpisodes(Protocol):
         """
         ...
 
-    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> TeamStep:
+    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> Step:
         """Take actions: (B, N, A) in [-1, 1], or (B, N) numbers. live: (B,) episodes to advance."""
         ...
 

@@ -18,9 +18,9 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
+from xmarl_envs import Step
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.tasks.interface import ArrayStep
 
 SUCCESS_KEYS: Final = ("at_goal", "found", "is_success")
 AGENT_COLLISION, OBJECT_COLLISION = "agent_collision", "object_collision"
@@ -126,7 +126,7 @@ class ParallelEpisodes:
         with foreign_code(self.task.name, "render"):
             return np.asarray(env.render(), dtype=np.uint8)
 
-    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> ArrayStep:
+    def step(self, action: NDArray[Any], live: NDArray[np.bool_] | None = None) -> Step:
         """Step the live episodes. Raises InputError if an environment fails or an agent leaves early."""
         n_episodes, n_agents, _ = self._observation.shape
         told = [np.full((n_episodes, n_agents), np.nan) for _ in range(3)]
@@ -153,7 +153,7 @@ class ParallelEpisodes:
             object_collision[k] = _told(infos, agents, (OBJECT_COLLISION,))
             terminated[k] = all(ended)
             truncated[k] = not terminated[k] and (any(over) or self._cycles[k] >= self.max_cycles)
-        return ArrayStep(self._observation.copy(), reward, terminated, truncated, *told)
+        return Step(self._observation.copy(), reward, terminated, truncated, *told)
 
     def _check_together(self, env: Parallel, ended: Sequence[bool], over: Sequence[bool], cycle: int) -> None:
         """Raise InputError if some agents have left, and not all."""

@@ -10,7 +10,6 @@ then on the process knows it by its name, as a `Cell` and the card of a policy g
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,14 +20,14 @@ import numpy as np
 from xmarl_envs import TASKS, Task
 
 from xmarl_bench.errors import InputError, unknown
-from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin
+from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin, plugins_by_name
 from xmarl_bench.origin.references import Origin, check_named, is_reference, load_reference, origin_of
+from xmarl_bench.records.field_types import is_file_name
 from xmarl_bench.tasks.interface import TeamTask, random_actions
 from xmarl_bench.tasks.parallel_task import ParallelTask, foreign_code
 from xmarl_bench.tasks.parallel_trial import SEED, parallel_task
 
 GROUP: Final = "xmarl_bench.tasks"
-NAME = re.compile(r"^[a-z0-9][a-z0-9._-]{0,99}$")  # safe in file names
 KEPT = 8  # tasks of a process, each with a team size, that are tried once only
 
 _opened: dict[str, TaskSource] = {}
@@ -82,9 +81,7 @@ def _task_class(factory: object) -> type[Task] | None:
     return factory if isinstance(factory, type) and issubclass(factory, Task) else None
 
 
-@lru_cache(maxsize=KEPT)
-def _tried(name: str, factory: Callable[[int], Any], n_agents: int) -> ParallelTask:
-    return parallel_task(name, factory, n_agents)
+_tried = lru_cache(maxsize=KEPT)(parallel_task)
 
 
 @lru_cache(maxsize=KEPT)
@@ -106,7 +103,7 @@ def _tried_rules(name: str, factory: type[Task], n_agents: int) -> Task:
 
 def task_names() -> list[str]:
     """Tasks of xmarl_envs, of installed packages, and those opened in this process. Loads nothing."""
-    return list(dict.fromkeys([*TASKS, *sorted(_plugins()), *_opened]))
+    return list(dict.fromkeys([*TASKS, *task_plugins(), *_opened]))
 
 
 def opened_tasks() -> dict[str, TaskSource]:
@@ -115,8 +112,8 @@ def opened_tasks() -> dict[str, TaskSource]:
 
 
 def task_plugins() -> dict[str, EntryPoint]:
-    """The tasks of installed packages by name. Loads nothing."""
-    return dict(sorted(_plugins().items()))
+    """The tasks of installed packages by name. Loads nothing. Raises InputError if two share a name."""
+    return plugins_by_name(entry_points(group=GROUP), "task", dict.fromkeys(TASKS, "a shipped task"))
 
 
 def open_task(task: str | Callable[..., Any], *, trust_code: bool = False) -> TaskSource:
@@ -126,17 +123,25 @@ def open_task(task: str | Callable[..., Any], *, trust_code: bool = False) -> Ta
     """
     if not isinstance(task, str):
         return open_factory(task, origin_of(task), None)
-    if task in TASKS:
-        return TaskSource(task, TASKS[task], None)
-    if not is_reference(task):
+    place = place_of(task, trust_code=trust_code)
+    if isinstance(place, TaskSource):
+        return place
+    if place is None:
+        return open_factory(*load_reference(task), None)
+    return open_factory(load_plugin(place), origin_of_plugin(place), task)
+
+
+def place_of(task: str, *, trust_code: bool) -> TaskSource | EntryPoint | None:
+    """A known task, or the entry point of one to open; None for a reference. Loads nothing.
+
+    Raises InputError if there is no such task, and for code that is not trusted.
+    """
+    plugin = None if task in TASKS or is_reference(task) else task_plugins().get(task)
+    if plugin is None and not is_reference(task):
         check_named(task)
-        plugin = _plugins().get(task)
-        if plugin is None:
-            return known_task(task)
-        check_trust(task, trust_code)
-        return open_factory(load_plugin(plugin), origin_of_plugin(plugin), task)
+        return known_task(task)
     check_trust(task, trust_code)
-    return open_factory(*load_reference(task), None)
+    return plugin
 
 
 def known_task(name: str) -> TaskSource:
@@ -145,7 +150,7 @@ def known_task(name: str) -> TaskSource:
         return TaskSource(name, TASKS[name], None)
     if name in _opened:
         return _opened[name]
-    if name in _plugins():
+    if name in task_plugins():
         check_trust(name, False)
     raise unknown("task", name, task_names(), "or give path/to/file.py:factory or module:factory")
 
@@ -163,7 +168,7 @@ def open_factory(factory: object, origin: Origin, name: str | None) -> TaskSourc
         raise InputError(
             f"task plugin {name!r} ({origin.entry_point}) calls itself {chosen!r}: use one name for both."
         )
-    if not NAME.match(chosen):
+    if not is_file_name(chosen):
         raise InputError(f"task name {chosen!r} cannot be part of a file name: use a-z, 0-9, . _ and -.")
     if chosen in TASKS and own is not TASKS[chosen]:
         raise InputError(f"task {chosen!r} ({origin.entry_point}) has the name of a shipped task: rename it.")
@@ -186,14 +191,3 @@ def check_trust(name: str, trust_code: bool) -> None:
             f"task {name!r} runs its own code: read it, and add --trust-code (trust_code=True) if you trust "
             f"it."
         )
-
-
-def _plugins() -> dict[str, EntryPoint]:
-    """Entry points by name. Raises InputError if two have the same name."""
-    plugins: dict[str, EntryPoint] = {}
-    for plugin in entry_points(group=GROUP):
-        if plugin.name in TASKS or plugin.name in plugins:
-            other = plugins[plugin.name].value if plugin.name in plugins else "a shipped task"
-            raise InputError(f"task {plugin.name!r} ({plugin.value}) has the name of {other}: rename one.")
-        plugins[plugin.name] = plugin
-    return plugins

@@ -19,10 +19,8 @@ SLOPE = 0.6  # ... and lower by this much per metre beside the gap
 def queue(task: BlindPassage, state: State) -> Floats:
     """(B, N, 2) actions in [-1, 1]."""
     gap = task.gap(state)
-    x, y = (
-        gap[..., 0] - state.position[..., 0],
-        state.position[..., 1],
-    )  # m to the gap, m above the middle of the wall
+    x = gap[..., 0] - state.position[..., 0]  # m to the gap
+    y = state.position[..., 1]  # m above the middle of the wall
     half = task.wall_thickness / 2 + task.radius + 0.004
     beyond, inside = y > half, np.abs(y) <= half
     aside = np.maximum(np.abs(x) - CENTRED, 0.0)

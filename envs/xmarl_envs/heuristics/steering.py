@@ -31,18 +31,6 @@ def at_most(velocity: Floats, speed: float) -> Floats:
     return np.asarray(velocity * np.minimum(1.0, speed / np.maximum(_length(velocity), 1e-9)))
 
 
-def partners(position: Floats, itself: float) -> tuple[Floats, Floats]:
-    """(B, N, 2) m -> offsets from j to i at [b, i, j], (B, N, N, 2), and their lengths, (B, N, N).
-
-    itself: the length on the diagonal.
-    """
-    apart = position[:, :, None] - position[:, None, :]
-    length = _length(apart)[..., 0]
-    agent = np.arange(position.shape[1])
-    length[:, agent, agent] = itself
-    return apart, length
-
-
 def force(task: Task, wanted: Floats, velocity: Floats) -> Floats:
     """(B, N, 2) action in [-1, 1] that reaches and holds the velocity `wanted` in m/s."""
     newtons = HOLD * wanted + CORRECT * (wanted - velocity)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from torch_geometric.nn import GATv2Conv
+from xmarl_envs import Step
 
 from tests.bench.tasks import worlds
 from tests.conftest import MakeBundle, RunCli
@@ -23,7 +24,7 @@ from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.tasks import AskedSource, ask_task
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.tasks import sources
-from xmarl_bench.tasks.interface import ArrayStep, random_actions
+from xmarl_bench.tasks.interface import random_actions
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="needs processes of Unix")]
 HERE, WORLDS = "tests.bench.isolation.test_tasks", "tests.bench.tasks.worlds"
@@ -63,7 +64,7 @@ def test_episodes_are_those_of_the_task_to_the_bit(factory: Callable[..., Any]) 
     for _ in range(5):
         action = random_actions(one, 4, rng)
         steps = [env.step(action, live) for env in envs]
-        for name in ArrayStep._fields:
+        for name in Step._fields:
             first, second = (np.asarray(getattr(step, name)) for step in steps)
             assert np.array_equal(first, second, equal_nan=True), name
             assert first.astype(second.dtype).tobytes() == second.tobytes()

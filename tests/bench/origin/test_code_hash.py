@@ -8,7 +8,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from textwrap import dedent
+from typing import Literal
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
@@ -91,6 +93,15 @@ def test_a_global_changes_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
     assert before is not None
     monkeypatch.setitem(globals(), "SCALE", 0.75)
     assert object_sha256(by_global) != before
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_a_large_array_is_hashed_by_its_values(order: Literal["C", "F"]) -> None:
+    array = np.zeros((1000, 100), order=order)
+    before = object_sha256(array)
+    assert before == object_sha256(array.copy(order=order)) is not None
+    array[-1, -1] = 1.0
+    assert object_sha256(array) not in (before, None)
 
 
 def test_an_object_that_cannot_be_pickled_has_no_hash_and_is_not_cached() -> None:

@@ -14,6 +14,7 @@ the longest matching prefix counts. New names are those of `weight_shapes`: `enc
 from __future__ import annotations
 
 import io
+import json
 import pickle
 import pickletools
 import re
@@ -91,7 +92,7 @@ def sb3_architecture(path: Path, tensors: Mapping[str, Tensor]) -> Record | None
         actor = rename(tensors, SB3_KEYS)
         first = actor.get("encoder.0.weight", actor.get("gat.lin_l.weight"))
         assert first is not None
-        return Architecture.model_validate({**_tuples(record), "obs_dim": first.shape[1]})
+        return Architecture.model_validate_json(json.dumps({**record, "obs_dim": first.shape[1]}))
     except (ValueError, KeyError, TypeError, AssertionError, IndexError):
         raise InputError(f"{path} is not a checkpoint of xmarl-train: give --architecture.") from None
 
@@ -290,7 +291,3 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
 def _some(names: list[str], most: int = 8) -> str:
     listed = ", ".join(shown(name).strip("'") for name in names[:most])
     return f"{listed} and {len(names) - most} more" if len(names) > most else listed
-
-
-def _tuples(record: dict[str, Any]) -> dict[str, Any]:
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in record.items()}

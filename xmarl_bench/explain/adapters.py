@@ -25,14 +25,15 @@ from torch import Tensor
 from torch_geometric.explain import AttentionExplainer, CaptumExplainer, ExplainerAlgorithm, PGExplainer
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.explainer import Access, Explain, Explainer, Fit, Scalar
+from xmarl_bench.explain.explainer import Access, Explainer, Fit, Scalar
 from xmarl_bench.explain.pyg import Copies, PygExplain, PygFit
-from xmarl_bench.explain.simulator import SIMULATOR, Simulated, Simulator
+from xmarl_bench.explain.simulator import SIMULATOR, Simulator
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin, origin_of
 from xmarl_bench.policy import Policy
 
-PARAMETERS = ("policy", "observations", "generator")
+FIT_PARAMETERS = ("policy", "observations", "generator")
+PARAMETERS = (*FIT_PARAMETERS, SIMULATOR)
 
 
 class Declared(TypedDict, total=False):
@@ -129,14 +130,8 @@ class Named:
         simulator: Simulator | None = None,
         /,
     ) -> Tensor:
-        given = dict(zip((*PARAMETERS, SIMULATOR), (policy, observations, generator, simulator), strict=True))
+        given = dict(zip(PARAMETERS, (policy, observations, generator, simulator), strict=True))
         return self.function(**{name: given[name] for name in self.names})
-
-
-def explain_by_name(name: str, function: Callable[..., Any]) -> Explain | Simulated:
-    """What calls such a function, with the simulator if it names that. Raises InputError as `Named.of`."""
-    called = Named.of(name, function, (*PARAMETERS, SIMULATOR))
-    return Simulated(called) if SIMULATOR in called.names else called
 
 
 @dataclass(frozen=True)
@@ -146,12 +141,10 @@ class FitByMethod:
     name: str
     owner: Any
 
-    def __call__(
-        self, policy: Policy, observations: Tensor, generator: torch.Generator
-    ) -> Explain | Simulated:
+    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Named:
         fitted = copy.deepcopy(self.owner)
-        Named.of(self.name, fitted.fit)(policy, observations, generator)
-        return explain_by_name(self.name, getattr(fitted, "explain", fitted))
+        Named.of(self.name, fitted.fit, FIT_PARAMETERS)(policy, observations, generator)
+        return Named.of(self.name, getattr(fitted, "explain", fitted))
 
 
 def origin_of_explainer(explainer: Explainer) -> Origin:
@@ -159,8 +152,6 @@ def origin_of_explainer(explainer: Explainer) -> Origin:
     if explainer.origin is not None:
         return explainer.origin
     explain: object = explainer.explain
-    if isinstance(explain, Simulated):
-        explain = explain.function
     if isinstance(explain, Named):
         explain = explain.function
     if isinstance(explain, PygExplain) and isinstance(explain.algorithm, Copies):
@@ -181,9 +172,10 @@ def _made(
             raise InputError(
                 f"explainer {name!r} declares needs_fit: give it a method fit of observations and policy."
             )
-        Named.of(f"{name}.fit", owner.fit)
+        Named.of(f"{name}.fit", owner.fit, FIT_PARAMETERS)
         fit = FitByMethod(fields["name"], owner)
-    return Explainer(explain=explain_by_name(name, explain), fit=fit, **fields)
+    called = Named.of(name, explain)
+    return Explainer(explain=called, simulates=SIMULATOR in called.names, fit=fit, **fields)
 
 
 def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explainer:

@@ -18,7 +18,7 @@ from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.node_importance import as_edge_masks
 from xmarl_bench.explain.pyg import class_settings_kept
 from xmarl_bench.explain.returned_mask import as_floats, checked_mask, finite
-from xmarl_bench.explain.simulator import Simulated, Simulator
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin
 from xmarl_bench.policy import Policy
@@ -61,7 +61,7 @@ class Elsewhere(Protocol):
 
 
 # (policy, observations (S, N, D) that no score uses, generator) -> what explains this policy.
-Fit = Callable[[Policy, Tensor, torch.Generator], "Explain | Simulated"]
+Fit = Callable[[Policy, Tensor, torch.Generator], Explain]
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Explainer:
     """
 
     name: str
-    explain: Explain | Simulated
+    explain: Explain
     summary: str = ""  # one line
     stochastic: bool = False  # another seed gives another mask
     slow: bool = False  # more than about 10 ms per timestep: a run may give it fewer episodes
@@ -85,6 +85,7 @@ class Explainer:
     # Returns the importance of each agent as a sender, (S, N), of which `as_edge_masks` makes masks; None:
     # not declared, the shape tells.
     node_importance: bool | None = None
+    simulates: bool = False  # plays on from the states that it explains: `explain` takes a simulator, too
     # Access to the policy. "black-box": a policy that only answers queries (policy.black_box); "attention":
     # the same with attention; "gradients", or None (not declared): the network itself.
     accesses: Access | None = None
@@ -100,11 +101,6 @@ class Explainer:
     origin: Origin | None = field(default=None, compare=False, repr=False)
     # What asks it, if it runs in a process of its own; None: it runs in this process.
     elsewhere: Elsewhere | None = field(default=None, compare=False, repr=False)
-
-    @property
-    def simulates(self) -> bool:
-        """Whether it plays on from the states that it explains: it needs the simulator of their episode."""
-        return isinstance(self.explain, Simulated)
 
 
 def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
@@ -215,16 +211,15 @@ def explain_of(explainer: Explainer) -> Explain:
 
     Raises InputError if it does and has none.
     """
-    explain, simulator = explainer.explain, explainer.simulator
-    if not isinstance(explain, Simulated):
+    explain: Callable[..., Tensor] = explainer.explain
+    if not explainer.simulates:
         return explain
-    if simulator is None:
+    if explainer.simulator is None:
         raise InputError(
             f"explainer {explainer.name!r} plays on in the world of an episode, and these states have none: "
             f"leave it out."
         )
-    function, world = explain.function, simulator
-    return lambda policy, observations, generator: function(policy, observations, generator, world)
+    return lambda *given: explain(*given, explainer.simulator)
 
 
 def seen(explainer: Explainer, policy: Policy) -> Policy:

@@ -18,7 +18,7 @@ from xmarl_bench.entry.schema import ExplainerRecord
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.simulator import SIMULATOR, Simulated
+from xmarl_bench.explain.simulator import SIMULATOR
 from xmarl_bench.isolation.asked import Asked
 from xmarl_bench.isolation.conversation import PLAIN, Isolation, Source, conversation, sendable
 from xmarl_bench.metrics.absence import Absence
@@ -75,7 +75,8 @@ def find_elsewhere(
                 "signed", "node_importance", "absence",
             )
         },
-        explain=Simulated(_not_here) if declared.accesses == SIMULATOR else _not_here,
+        explain=_not_here,
+        simulates=declared.accesses == SIMULATOR,
         accesses=None if declared.accesses == SIMULATOR else declared.accesses,
         fit=_not_here if declared.needs_fit else None,
         origin=origin
@@ -87,7 +88,7 @@ def find_elsewhere(
 def _asking(explainer: Explainer, asked: Asked) -> Explainer:
     return replace(
         explainer,
-        explain=Simulated(_not_here) if explainer.simulates else _not_here,
+        explain=_not_here,
         fit=None if explainer.fit is None else _not_here,
         origin=explainer.origin or origin_of_explainer(explainer),
         elsewhere=asked,

@@ -94,7 +94,7 @@ class _Effect(nn.Module):
     def __init__(self, policy: Policy, x: Tensor) -> None:
         super().__init__()
         self.policy = policy
-        self.direction = effect_direction(policy, policy.prepare(x[None]), 1, len(x))[0]
+        self.direction = effect_direction(policy, policy.prepare(x[None]))[0]
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
         action: Tensor = self.policy(x, edge_index)

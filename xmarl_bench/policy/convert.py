@@ -33,10 +33,11 @@ from torch import Tensor
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import Architecture, BundledArchitecture, LayeredArchitecture
+from xmarl_bench.policy.card import parse_record
 from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import read_file
 from xmarl_bench.policy.wrapped import plain_name
-from xmarl_bench.records.strict_json import first_error, parse_json, shown
+from xmarl_bench.records.strict_json import parse_json, shown
 
 MAX_BYTES = 512 * 1024 * 1024  # of a whole checkpoint, with critic and optimiser
 MAX_PICKLE = 4 * 1024 * 1024  # of the list of tensors, without their values
@@ -99,17 +100,7 @@ def sb3_architecture(path: Path, tensors: Mapping[str, Tensor]) -> Record | None
 
 def read_architecture(path: Path) -> Record:
     """Read an architecture record from JSON. Raises InputError if it is invalid."""
-    data = read_file(path, 1024 * 1024)
-    try:
-        parse_json(data)
-        return _RECORD.validate_json(data)
-    except ValidationError as error:
-        problem, where = first_error(error)
-        raise InputError(
-            f"{path} is not an architecture: {shown(problem)} at {shown(where or 'the whole file')}."
-        ) from None
-    except ValueError as error:
-        raise InputError(f"{path} is not an architecture: it {error}.") from None
+    return parse_record(_RECORD, "an architecture", read_file(path, 1024 * 1024), str(path))
 
 
 def read_key_map(path: Path) -> KeyMap:

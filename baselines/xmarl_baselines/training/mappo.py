@@ -24,7 +24,6 @@ from stable_baselines3.common.utils import explained_variance
 from torch import Tensor
 from torch.nn import functional as F
 
-from xmarl_baselines.training.schedules import ramp
 from xmarl_baselines.training.team_buffer import TeamRolloutBuffer, TeamSamples
 from xmarl_baselines.training.team_policy import TeamPolicy
 
@@ -82,8 +81,12 @@ class MAPPO(PPO):
 
     def attention_weight(self) -> float:
         """lambda at the present moment of training."""
-        done = 1.0 - self._current_progress_remaining
-        return self.attention_entropy * ramp(done, self.attention_start, self.attention_ramp)
+        since = 1.0 - self._current_progress_remaining - self.attention_start
+        if since < 0:
+            return 0.0
+        return self.attention_entropy * (
+            min(1.0, since / self.attention_ramp) if self.attention_ramp else 1.0
+        )
 
     def train(self) -> None:
         self.policy.set_training_mode(True)

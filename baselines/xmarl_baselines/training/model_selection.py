@@ -50,14 +50,7 @@ class ModelSelection(BaseCallback):
     reached its full weight, if there are later ones.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        cell: Cell,
-        *,
-        every: int,
-        after: float,
-    ) -> None:
+    def __init__(self, folder: Path, cell: Cell, *, every: int, after: float) -> None:
         super().__init__()
         self._folder, self._cell, self._every, self._after = folder, cell, every, after
         self._last = 0

@@ -6,7 +6,6 @@ agent, so this class itself puts `episode`, `truncated_observation` and `TimeLim
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,6 @@ class TeamVecEnv(OneObjectVecEnv):
         self._env = VectorEnv(task, n_envs, max_cycles, copies_per_space)
         self._rng = np.random.default_rng(seed)
         self._actions: NDArray[np.float32] = np.zeros((n_envs, task.n_agents, 2), np.float32)
-        self._started = time.time()
         self._return = np.zeros(n_envs)
         self._collided = np.zeros(n_envs, dtype=bool)
 
@@ -72,11 +70,7 @@ class TeamVecEnv(OneObjectVecEnv):
         observation = step.observation
         for k in ended:
             infos[k] = {
-                "episode": {
-                    "r": float(self._return[k]),
-                    "l": int(self._env.cycles[k]),
-                    "t": time.time() - self._started,
-                },
+                "episode": {"r": float(self._return[k]), "l": int(self._env.cycles[k])},
                 "is_success": float(step.success[k].mean()),
                 "no_agent_collision": float(not self._collided[k]),
                 "truncated_observation": step.observation[k],

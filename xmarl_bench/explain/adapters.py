@@ -18,6 +18,7 @@ import inspect
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypedDict, Unpack, get_args, overload
 
 import torch
@@ -26,7 +27,7 @@ from torch_geometric.explain import AttentionExplainer, CaptumExplainer, Explain
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import Access, Explainer, Fit, Scalar
-from xmarl_bench.explain.pyg import Copies, PygExplain, PygFit
+from xmarl_bench.explain.pyg import Copies, PygExplain, fit_pg
 from xmarl_bench.explain.simulator import SIMULATOR, Simulator
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin, origin_of
@@ -134,17 +135,13 @@ class Named:
         return self.function(**{name: given[name] for name in self.names})
 
 
-@dataclass(frozen=True)
-class FitByMethod:
+def _fit_by_method(
+    name: str, owner: Any, policy: Policy, observations: Tensor, generator: torch.Generator
+) -> Named:
     """Fits a copy of an object with its method `fit`. The copy then explains."""
-
-    name: str
-    owner: Any
-
-    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Named:
-        fitted = copy.deepcopy(self.owner)
-        Named.of(self.name, fitted.fit, FIT_PARAMETERS)(policy, observations, generator)
-        return Named.of(self.name, getattr(fitted, "explain", fitted))
+    fitted = copy.deepcopy(owner)
+    Named.of(name, fitted.fit, FIT_PARAMETERS)(policy, observations, generator)
+    return Named.of(name, getattr(fitted, "explain", fitted))
 
 
 def origin_of_explainer(explainer: Explainer) -> Origin:
@@ -173,7 +170,7 @@ def _made(
                 f"explainer {name!r} declares needs_fit: give it a method fit of observations and policy."
             )
         Named.of(f"{name}.fit", owner.fit, FIT_PARAMETERS)
-        fit = FitByMethod(fields["name"], owner)
+        fit = partial(_fit_by_method, fields["name"], owner)
     called = Named.of(name, explain)
     return Explainer(explain=called, simulates=SIMULATOR in called.names, fit=fit, **fields)
 
@@ -200,7 +197,7 @@ def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explaine
             f"explainer {name!r} declares accesses = {fields['accesses']!r}, but PyG's algorithms run the "
             f"network itself: declare 'gradients' or nothing."
         )
-    fit = PygFit(copies) if isinstance(algorithm, PGExplainer) else None
+    fit = partial(fit_pg, copies) if isinstance(algorithm, PGExplainer) else None
     if fields.pop("needs_fit", fit is not None) != (fit is not None):
         raise InputError(
             f"explainer {name!r} declares needs_fit = {fit is None}: leave it out, PGExplainer is the only "

@@ -161,11 +161,3 @@ class MAPPO(PPO):
         given = callback if isinstance(callback, list) else [] if callback is None else [callback]
         converted = [c if isinstance(c, BaseCallback) else ConvertCallback(c) for c in given]
         return super()._init_callback([_TruncationBootstrap(), *converted], progress_bar)
-
-    def _update_info_buffer(self, infos: list[dict[str, Any]], dones: Any = None) -> None:
-        for info in infos:
-            if "episode" in info:  # so that SB3's logger gets them together
-                info["episode"].update(
-                    is_success=info["is_success"], no_agent_collision=info["no_agent_collision"]
-                )
-        super()._update_info_buffer(infos, dones)

@@ -20,8 +20,8 @@ from xmarl_baselines.training.shaping import Shaping, training_reward
 class TeamVecEnv(OneObjectVecEnv):
     """`n_envs` teams with auto-reset. Copies share pymunk Spaces: fast, and equal up to rounding.
 
-    Every info of an ended episode holds `episode` (r: the task's own return, mean over agents; l: length),
-    `is_success` (fraction of agents at goal) and `no_agent_collision`.
+    Every info of an ended episode holds `episode`: r, the task's own return, mean over agents; l, its length;
+    `is_success`, the fraction of agents at goal, which the info holds, too; `no_agent_collision`.
     """
 
     def __init__(
@@ -69,10 +69,15 @@ class TeamVecEnv(OneObjectVecEnv):
         ended = np.flatnonzero(done)
         observation = step.observation
         for k in ended:
+            success = float(step.success[k].mean())
             infos[k] = {
-                "episode": {"r": float(self._return[k]), "l": int(self._env.cycles[k])},
-                "is_success": float(step.success[k].mean()),
-                "no_agent_collision": float(not self._collided[k]),
+                "episode": {
+                    "r": float(self._return[k]),
+                    "l": int(self._env.cycles[k]),
+                    "is_success": success,
+                    "no_agent_collision": float(not self._collided[k]),
+                },
+                "is_success": success,
                 "truncated_observation": step.observation[k],
                 "TimeLimit.truncated": bool(step.truncated[k]),
             }  # fmt: skip

@@ -33,7 +33,16 @@ MAX_LOG_RATIO = 20.0
 AGENTS_AT_ONCE = 3072  # rows per part of a minibatch: the fastest of 384 to 16384 on one core
 
 
-class _TruncationBootstrap(BaseCallback):
+class IterationCallback(BaseCallback):
+    """A callback of MAPPO that acts before or after an iteration's steps."""
+
+    model: MAPPO
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class _TruncationBootstrap(IterationCallback):
     """Adds gamma * V(last observation) to the rewards of truncated teams.
 
     SB3 does this in `collect_rollouts` for one reward per environment (if `terminal_observation` is given).
@@ -45,7 +54,6 @@ class _TruncationBootstrap(BaseCallback):
         which = [k for k, info in enumerate(infos) if info.get("TimeLimit.truncated")]
         if which:
             last = torch.from_numpy(np.stack([infos[k]["truncated_observation"] for k in which]))
-            assert isinstance(self.model, MAPPO)
             with torch.no_grad():
                 values = self.model.policy.predict_values(last.to(self.model.device))
             self.locals["rewards"][which] += self.model.gamma * values.cpu().numpy()

@@ -21,10 +21,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.callbacks import BaseCallback
 from xmarl_envs import make_task
 
-from xmarl_baselines.training.mappo import MAPPO
+from xmarl_baselines.training.mappo import MAPPO, IterationCallback
 from xmarl_baselines.training.model_selection import ModelSelection, Record
 from xmarl_baselines.training.recipes import Recipe
 from xmarl_baselines.training.run_files import damaged, read_run_file
@@ -207,23 +206,19 @@ def _restore(model: MAPPO, checkpoint: Path) -> None:
         raise damaged(checkpoint) from error
 
 
-class _Caution(BaseCallback):
+class _Caution(IterationCallback):
     """Multiplies the penalties for touching and for being near, linearly from 1 to `growth` over the run."""
 
     def __init__(self, growth: float) -> None:
         super().__init__()
         self._growth = growth
 
-    def _on_step(self) -> bool:
-        return True
-
     def _on_rollout_start(self) -> None:
-        assert isinstance(self.model, MAPPO)
         done = min(1.0, 1.0 - self.model._current_progress_remaining)
         self.training_env.set_attr("caution", 1.0 + (self._growth - 1.0) * done)
 
 
-class Checkpoints(BaseCallback):
+class Checkpoints(IterationCallback):
     """Saves a checkpoint after every few iterations, and reports progress after each.
 
     seconds: of CPU time before.
@@ -238,9 +233,6 @@ class Checkpoints(BaseCallback):
     @property
     def seconds(self) -> float:
         return self._earlier + time.process_time() - self._started
-
-    def _on_step(self) -> bool:
-        return True
 
     def _on_rollout_start(self) -> None:  # the previous iteration's update is done
         self._iterations += 1

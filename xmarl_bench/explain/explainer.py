@@ -13,7 +13,7 @@ from typing import Literal, Protocol, TypeVar
 import torch
 from torch import Tensor
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, failures_named
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.node_importance import as_edge_masks
 from xmarl_bench.explain.pyg import class_settings_kept
@@ -245,13 +245,6 @@ def mask_of_explainer(explainer: Explainer, mask: object, n_steps: int, n_agents
 
 def _guarded(explainer: Explainer, seed: int, what: str, run: Callable[[torch.Generator], Result]) -> Result:
     """Run with global random states seeded, and restore them afterwards. Errors name the explainer."""
-    with seeded(seed), class_settings_kept(), torch.inference_mode(False), torch.enable_grad():
-        try:
-            return run(torch.Generator().manual_seed(seed))
-        except InputError:
-            raise
-        except (Exception, SystemExit) as error:
-            reason = f"{type(error).__name__}: {error}".rstrip(". \n")
-            raise InputError(
-                f"explainer {explainer.name!r} failed on {what} ({reason}): correct it, or leave it out."
-            ) from error
+    failures = failures_named(f"explainer {explainer.name!r} failed on {what}", "correct it, or leave it out")
+    with seeded(seed), class_settings_kept(), torch.inference_mode(False), torch.enable_grad(), failures:
+        return run(torch.Generator().manual_seed(seed))

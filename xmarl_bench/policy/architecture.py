@@ -171,28 +171,19 @@ class LayeredArchitecture(_Network):
 
     def as_one_layer(self) -> Architecture | None:
         """The same network as a record for the fast path; None if the fast path does not support it."""
-        layer, distribution = self.layers[0], self.distribution
+        layer = self.layers[0]
         fits = (
             len(self.layers) == 1
             and (layer.conv, layer.heads, layer.edges) == ("GATv2Conv", 1, None)
+            and self.distribution in ("tanh_normal", "categorical")
             and self.scale == "softplus"
             and self.graph == CompleteGraph()
         )
-        if not fits or distribution not in ("tanh_normal", "categorical"):
+        if not fits:
             return None
-        return Architecture(
-            obs_dim=self.obs_dim,
-            action_dim=self.action_dim,
-            encoder=self.encoder,
-            encoder_activation=self.encoder_activation,
-            gat_width=layer.width,
-            gat_activation=layer.activation,
-            residual=layer.residual,
-            decoder=self.decoder,
-            decoder_activation=self.decoder_activation,
-            distribution=distribution,
-            memory=self.memory,
-        )
+        same = self.model_dump(include=Architecture.model_fields.keys() - {"kind"})
+        of_layer = {"gat_width": layer.width, "gat_activation": layer.activation, "residual": layer.residual}
+        return Architecture.model_validate({**same, **of_layer})
 
     @model_validator(mode="after")
     def _placed(self) -> LayeredArchitecture:

@@ -141,8 +141,7 @@ def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed
             returned = explain(*_given(explainer, policy, x), drawn)
             mask = as_edge_masks(name, returned, (n_agents, n_agents), nodes)
             each_mask.append(as_floats(name, mask, (n_agents, n_agents)))
-        stacked = torch.stack(each_mask)
-        return stacked if explainer.device == CPU else stacked.cpu()
+        return torch.stack(each_mask).cpu()
 
     return _guarded(explainer, seed, f"observations of shape {tuple(observations.shape)}", run)
 

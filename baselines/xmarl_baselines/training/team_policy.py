@@ -6,7 +6,6 @@ import json
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.policies import ActorCriticPolicy
@@ -90,15 +89,6 @@ class TeamPolicy(ActorCriticPolicy):
     def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
         action: Tensor = self(observation, deterministic)[0]
         return action
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> Any:
-        """(N, D) or (B, N, D) observations -> actions of the same leading axes, as SB3 does for vectors."""
-        obs = torch.as_tensor(np.asarray(observation, dtype=np.float32), device=self.device)
-        with torch.no_grad():
-            action = self._predict(obs if obs.ndim == 3 else obs[None], deterministic)
-        return (action if obs.ndim == 3 else action[0]).cpu().numpy(), state
 
 
 def mean_attention_entropy(attention: Tensor) -> Tensor:

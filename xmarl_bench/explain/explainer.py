@@ -6,9 +6,10 @@ S is the number of timesteps, N agents, D observation entries.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, TypeVar
+from typing import Literal, Protocol
 
 import torch
 from torch import Tensor
@@ -29,7 +30,6 @@ from xmarl_bench.reproducible import derived_seed, one_thread, seeded, timestep_
 
 Scalar = bool | int | float | str | None
 Access = Literal["black-box", "attention", "gradients"]
-Result = TypeVar("Result")
 
 
 class Explain(Protocol):
@@ -128,22 +128,18 @@ def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed
         raise InputError(f"explainer {explainer.name!r} is not fitted: fit it with `fit_explainer` first.")
     n_steps, n_agents, _ = observations.shape
     name, nodes, explain = explainer.name, explainer.node_importance, explain_of(explainer)
-
-    def run(generator: torch.Generator) -> object:
+    with _guarded(explainer, seed, f"observations of shape {tuple(observations.shape)}") as generator:
         if explainer.batched:
             returned = explain(*_given(explainer, policy, observations), generator)
             masks = as_edge_masks(name, returned, (n_steps, n_agents, n_agents), nodes)
             return masks.cpu() if isinstance(masks, Tensor) and explainer.device != CPU else masks
-        seeds = timestep_seeds(n_steps, generator)
         each_mask: list[Tensor] = []
-        for x, each in zip(observations, seeds, strict=True):
+        for x, each in zip(observations, timestep_seeds(n_steps, generator), strict=True):
             drawn = torch.Generator().manual_seed(each)
             returned = explain(*_given(explainer, policy, x), drawn)
             mask = as_edge_masks(name, returned, (n_agents, n_agents), nodes)
             each_mask.append(as_floats(name, mask, (n_agents, n_agents)))
         return torch.stack(each_mask).cpu()
-
-    return _guarded(explainer, seed, f"observations of shape {tuple(observations.shape)}", run)
 
 
 def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Explainer:
@@ -151,18 +147,13 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
 
     Runs on copies, as `run_explainer` does. Raises InputError, naming the explainer, if it fails.
     """
-    fit = explainer.fit
-    if fit is None:
+    if explainer.fit is None:
         return explainer
     elsewhere = elsewhere_of(explainer, policy)
     if elsewhere is not None:
         return replace(explainer, elsewhere=elsewhere.fit(policy, observations, seed), fitted_on=observations)
-    fitted = _guarded(
-        explainer,
-        seed,
-        f"{len(observations)} timesteps to be fitted on",
-        lambda generator: fit(*_given(explainer, policy, observations), generator),
-    )
+    with _guarded(explainer, seed, f"{len(observations)} timesteps to be fitted on") as generator:
+        fitted = explainer.fit(*_given(explainer, policy, observations), generator)
     return replace(explainer, explain=fitted, fitted_on=observations)
 
 
@@ -242,8 +233,9 @@ def mask_of_explainer(explainer: Explainer, mask: object, n_steps: int, n_agents
     return checked
 
 
-def _guarded(explainer: Explainer, seed: int, what: str, run: Callable[[torch.Generator], Result]) -> Result:
-    """Run with global random states seeded, and restore them afterwards. Errors name the explainer."""
+@contextmanager
+def _guarded(explainer: Explainer, seed: int, what: str) -> Iterator[torch.Generator]:
+    """Seeds global random states, and restores them afterwards. Errors name the explainer."""
     failures = failures_named(f"explainer {explainer.name!r} failed on {what}", "correct it, or leave it out")
     with seeded(seed), class_settings_kept(), torch.inference_mode(False), torch.enable_grad(), failures:
-        return run(torch.Generator().manual_seed(seed))
+        yield torch.Generator().manual_seed(seed)

@@ -29,11 +29,7 @@ class OwnKept(Policy):
         super().__init__()
         self.policy = policy
         self.graph, self.continuous_actions = policy.graph, policy.continuous_actions
-        self.memory_dim = policy.memory_dim
-
-    @property
-    def row_wise(self) -> bool:
-        return self.policy.row_wise
+        self.memory_dim, self.row_wise = policy.memory_dim, policy.row_wise
 
     def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
         """(n, D), (2, edges) -> (n, A): F of the mask with own edges at 1."""

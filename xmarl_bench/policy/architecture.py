@@ -6,7 +6,7 @@ memory before anything is built.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -91,10 +91,7 @@ class Architecture(_Network):
     decoder: Widths
     decoder_activation: Activation
     distribution: Literal["tanh_normal", "categorical"] = "tanh_normal"
-
-    @property
-    def graph(self) -> Graph:
-        return CompleteGraph()
+    graph: ClassVar[Graph] = CompleteGraph()
 
     @model_validator(mode="after")
     def _placed(self) -> Architecture:

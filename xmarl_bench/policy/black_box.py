@@ -24,14 +24,10 @@ class BlackBox(Policy):
     def __init__(self, policy: Policy, *, attention: bool = False) -> None:
         super().__init__()
         self.graph, self.continuous_actions = policy.graph, policy.continuous_actions
-        self.memory_dim = policy.memory_dim
+        self.memory_dim, self.row_wise = policy.memory_dim, policy.row_wise
         # A closure, because an attribute would make its weights ours.
         self._policy: Callable[[], Policy] = lambda: policy
         self._reads_attention = attention
-
-    @property
-    def row_wise(self) -> bool:
-        return self._policy().row_wise
 
     @torch.no_grad()
     def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:

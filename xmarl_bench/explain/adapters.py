@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 from torch_geometric.explain import AttentionExplainer, CaptumExplainer, ExplainerAlgorithm, PGExplainer
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, failures_named
 from xmarl_bench.explain.explainer import Access, Explainer, Fit, Scalar
 from xmarl_bench.explain.pyg import Copies, PygExplain, fit_pg
 from xmarl_bench.explain.simulator import SIMULATOR, Simulator
@@ -78,7 +78,10 @@ def as_explainer(thing: object = None, /, **declared: Unpack[Declared]) -> Any:
             )
         return thing
     if inspect.isclass(thing):
-        return as_explainer(_instance(thing), **declared)
+        what = f"explainer {thing.__name__!r} cannot be made without arguments"
+        with failures_named(what, "give an instance"):
+            made = thing()
+        return as_explainer(made, **declared)
     if isinstance(thing, ExplainerAlgorithm):
         return _of_algorithm(thing, declared)
     if inspect.isroutine(thing):
@@ -229,16 +232,6 @@ def _scalars(values: Mapping[str, Any]) -> dict[str, Scalar]:
         for key, value in values.items()
         if not key.startswith("_") and isinstance(value, bool | int | float | str | None)
     }
-
-
-def _instance(cls: type) -> object:
-    try:
-        return cls()
-    except Exception as error:
-        raise InputError(
-            f"explainer {cls.__name__!r} cannot be made without arguments ({type(error).__name__}: {error}): "
-            f"give an instance."
-        ) from error
 
 
 def _first_line(thing: object) -> str:

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from safetensors import SafetensorError
 from safetensors.torch import load as load_safetensors
 from torch import Tensor
@@ -105,13 +105,8 @@ def read_architecture(path: Path) -> Record:
 
 def read_key_map(path: Path) -> KeyMap:
     """Read a key map from JSON: an object of strings and nulls. Raises InputError if it is invalid."""
-    data = read_file(path, 1024 * 1024)
-    try:
-        return _KEY_MAP.validate_python(parse_json(data), strict=True)
-    except ValidationError:
-        raise InputError(f"{path} is not a key map: map prefixes to prefixes, or to null.") from None
-    except ValueError as error:
-        raise InputError(f"{path} is not a key map: it {error}.") from None
+    what = "a key map of prefixes to prefixes or null"
+    return parse_record(_KEY_MAP, what, read_file(path, 1024 * 1024), str(path))
 
 
 def renamed_weights(

@@ -66,8 +66,7 @@ def call(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
     widths = [part.shape[1] for part in _parts(network, "initial_state", start, len(x))]
     seen, *state = x.split([x.shape[1] - sum(widths), *widths], dim=1)
     returned = network.step(seen, edge_index, state[0] if isinstance(start, Tensor) else tuple(state))
-    pair = returned if isinstance(returned, tuple) and len(returned) == 2 else (None, None)
-    output, after = pair
+    output, after = returned if isinstance(returned, tuple) and len(returned) == 2 else (None, None)
     if not (isinstance(output, Tensor) and output.dim() == 2 and len(output) == len(x)):
         raise InputError(
             f"step of {type(network).__name__} did not return an output ({len(x)}, width) and the next "

@@ -118,12 +118,12 @@ def check_weights(data: bytes, expected: Mapping[str, tuple[int, ...]], where: s
             raise InputError(
                 f"{where} does not describe tensor {shown(name)} as float32 weights: save it again."
             )
-    problem = misfit(dict(expected), {name: tuple(claim["shape"]) for name, claim in header.items()})
+    problem = misfit(expected, {name: tuple(claim["shape"]) for name, claim in header.items()})
     if problem is not None:
         raise InputError(f"{where} does not fit the architecture in {CARD}: {problem}.")
 
 
-def misfit(expected: dict[str, tuple[int, ...]], received: dict[str, tuple[int, ...]]) -> str | None:
+def misfit(expected: Mapping[str, tuple[int, ...]], received: Mapping[str, tuple[int, ...]]) -> str | None:
     """The first tensor that is missing, unknown or of another shape, as a clause; None if all fit."""
     for name in sorted(expected.keys() | received.keys()):
         if expected.get(name) != received.get(name):

@@ -206,42 +206,37 @@ def dense(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]]) 
 def _torch_load(data: bytes, path: Path) -> Any:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = archive.infolist()
-    stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
-    small = all(m.file_size <= MAX_PICKLE for m in members if m.filename.endswith("data.pkl"))
-    if not stored or not small:
-        raise InputError(f"{path} is not a file of torch.save: save the state dict again.")
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            for member in members:
-                if member.filename.endswith("data.pkl"):
-                    _check_pickle(archive.read(member), path)
-        return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-    except (
-        pickle.UnpicklingError,
-        RuntimeError,
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-        IndexError,
-    ):
-        raise InputError(
-            f"{path} holds more than tensors and plain containers, or is damaged: save the state dict alone, "
-            f"torch.save(model.state_dict(), ...)."
-        ) from None
+        pickles = [member for member in members if member.filename.endswith("data.pkl")]
+        stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
+        if not stored or any(member.file_size > MAX_PICKLE for member in pickles):
+            raise InputError(f"{path} is not a file of torch.save: save the state dict again.")
+        try:
+            for member in pickles:
+                _check_pickle(archive.read(member))
+            return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        except (
+            pickle.UnpicklingError,
+            RuntimeError,
+            ValueError,
+            TypeError,
+            KeyError,
+            AttributeError,
+            IndexError,
+        ):
+            raise InputError(
+                f"{path} holds more than tensors and plain containers, or is damaged: save the state dict "
+                f"alone, torch.save(model.state_dict(), ...)."
+            ) from None
 
 
-def _check_pickle(data: bytes, path: Path) -> None:
-    """Raise InputError if the pickle names a class that makes memory of any size from a number.
+def _check_pickle(data: bytes) -> None:
+    """Raise UnpicklingError if the pickle names a class that makes memory of any size from a number.
 
     torch's reader allows them. It knows GLOBAL alone of the opcodes that name something.
     """
     for code, argument, _ in pickletools.genops(data):
         if code.name == "GLOBAL" and ALLOCATES.fullmatch(str(argument)):
-            raise InputError(
-                f"{path} holds more than tensors and plain containers ({shown(argument)}): save the state "
-                f"dict alone."
-            )
+            raise pickle.UnpicklingError(f"names {argument}")
 
 
 def _flat(value: Any, path: Path) -> Iterator[tuple[str, Tensor]]:

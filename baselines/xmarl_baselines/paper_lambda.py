@@ -21,7 +21,6 @@ import numpy as np
 import torch
 import typer
 from numpy.typing import NDArray
-from torch import Tensor
 
 from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.reference import run_named
@@ -129,16 +128,12 @@ def listening(policy: GraphPolicy, task: str, n_agents: int) -> dict[str, float]
     for episode in roll_out(Cell(task, n_agents).make(), policy, STATES.seeds, max_cycles=STATES.max_cycles):
         seen = torch.tensor(episode.observations)
         attention = policy.attention(seen).numpy()
-        change = prediction_change(_action(policy, seen), _action(policy, seen, torch.eye(n_agents)))
+        full, alone = (policy.distribution(seen, mask).action.numpy() for mask in (None, torch.eye(n_agents)))
+        change = prediction_change(full, alone)
         entropy = attention_entropy(attention)
         rows.append((entropy.mean(), own_share(attention), most_heard(attention), change.mean()))
     names = ("attention_entropy", "own_share", "most_heard", "communication_dependence")
     return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
-
-
-def _action(policy: GraphPolicy, seen: Tensor, mask: Tensor | None = None) -> NDArray[np.float32]:
-    action: NDArray[np.float32] = policy.distribution(seen, mask).action.numpy()
-    return action
 
 
 def main(

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 MANY = 50  # names in a message
 
 
 class InputError(ValueError):
     """Invalid input: what was wrong, what was received, what to do. The CLI prints it and exits 2."""
+
+
+@contextmanager
+def failures_named(what: str, remedy: str) -> Iterator[None]:
+    """While others' code runs: raises what it raises as an InputError, "WHAT (the exception): REMEDY."."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        reason = f"{type(error).__name__}: {error}".rstrip(". \n")
+        raise InputError(f"{what} ({reason}): {remedy}.") from error
 
 
 def unknown(kind: str, name: str, choices: Iterable[str], hint: str = "") -> InputError:

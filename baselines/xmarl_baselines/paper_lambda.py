@@ -21,12 +21,10 @@ import numpy as np
 import torch
 import typer
 from numpy.typing import NDArray
-from stable_baselines3.common.callbacks import BaseCallback
-from torch import Tensor
 
 from xmarl_baselines.independent_ppo import CONTROLS
 from xmarl_baselines.reference import run_named
-from xmarl_baselines.training.mappo import MAPPO
+from xmarl_baselines.training.mappo import IterationCallback
 from xmarl_baselines.training.model_selection import plain_actor
 from xmarl_baselines.training.run_files import damaged, read_run_file
 from xmarl_baselines.training.trainer import Checkpoints, Run, begin
@@ -59,7 +57,7 @@ def most_heard(attention: NDArray[np.floating]) -> float:
     return float(attention.mean(axis=-2).max(axis=-1).mean())
 
 
-class _Attention(BaseCallback):
+class _Attention(IterationCallback):
     """Records and prints the attention on the states of each iteration, before the update on them.
 
     records: of the iterations before. `file` gets all of them after each iteration.
@@ -69,11 +67,7 @@ class _Attention(BaseCallback):
         super().__init__()
         self._name, self._file, self.records = name, file, records
 
-    def _on_step(self) -> bool:
-        return True
-
     def _on_rollout_end(self) -> None:
-        assert isinstance(self.model, MAPPO)
         seen = torch.from_numpy(self.model.rollout_buffer.observations).flatten(0, 1)
         with torch.no_grad():
             attention = self.model.policy.actor.attention(seen).numpy()
@@ -117,8 +111,8 @@ def first_iterations(run: Run, iterations: int, folder: Path) -> Schedule:
     recorder = _Attention(run.name, file, along)
     checkpoints = Checkpoints(folder, CHECKPOINT_EVERY, seconds)
     if frames < iterations * each:
-        callbacks = [recorder, checkpoints]
-        model.learn(iterations * each - frames, callback=callbacks, reset_num_timesteps=frames == 0)
+        missing = iterations * each - frames
+        model.learn(missing, callback=[recorder, checkpoints], reset_num_timesteps=frames == 0)
         checkpoints.save()
     return Schedule(plain_actor(model), recorder.records, checkpoints.seconds)
 
@@ -134,16 +128,12 @@ def listening(policy: GraphPolicy, task: str, n_agents: int) -> dict[str, float]
     for episode in roll_out(Cell(task, n_agents).make(), policy, STATES.seeds, max_cycles=STATES.max_cycles):
         seen = torch.tensor(episode.observations)
         attention = policy.attention(seen).numpy()
-        change = prediction_change(_action(policy, seen), _action(policy, seen, torch.eye(n_agents)))
+        full, alone = (policy.distribution(seen, mask).action.numpy() for mask in (None, torch.eye(n_agents)))
+        change = prediction_change(full, alone)
         entropy = attention_entropy(attention)
         rows.append((entropy.mean(), own_share(attention), most_heard(attention), change.mean()))
     names = ("attention_entropy", "own_share", "most_heard", "communication_dependence")
     return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
-
-
-def _action(policy: GraphPolicy, seen: Tensor, mask: Tensor | None = None) -> NDArray[np.float32]:
-    action: NDArray[np.float32] = policy.distribution(seen, mask).action.numpy()
-    return action
 
 
 def main(

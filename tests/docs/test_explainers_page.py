@@ -67,6 +67,7 @@ def test_every_declaration_is_in_the_table() -> None:
         "control",
         "fit",
         "fitted_on",
+        "simulates",
         "simulator",
         "origin",
         "elsewhere",

@@ -47,19 +47,6 @@ class PolicySubject:
     def full(self) -> ActionDistribution:
         return self.policy.distribution(self.observations)
 
-    def act(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        """(N, D) -> (N, A), on the given edges of one team."""
-        action: Tensor = self.policy(x, edge_index)
-        return action
-
-    @property
-    def rng(self) -> np.random.Generator:
-        return np.random.default_rng(SEED)
-
-    def permutation(self) -> Tensor:
-        """Another order of the agents: each one moves by one place."""
-        return torch.arange(self.observations.shape[1]).roll(1)
-
 
 def check_policy(policy: Policy, cell: Cell, *, timesteps: int = 20, episodes: int = 20) -> Iterator[Finding]:
     """Run every check, on `timesteps` states of the policy's own episodes and on `episodes` new ones."""
@@ -116,11 +103,13 @@ def equivariance(subject: PolicySubject) -> str:
 
     Edges come in the order of these numbers, so this finds dependence on the order of edges too.
     """
-    order = subject.permutation()
+    order = torch.arange(subject.observations.shape[1]).roll(1)  # each agent moves by one place
     place = torch.empty_like(order)
     place[order] = torch.arange(len(order))
-    here = torch.stack([subject.act(x, subject.policy.edges(x))[order] for x in subject.observations])
-    there = torch.stack([subject.act(x[order], place[subject.policy.edges(x)]) for x in subject.observations])
+    here = torch.stack([subject.policy.act(x, subject.policy.edges(x))[order] for x in subject.observations])
+    there = torch.stack(
+        [subject.policy.act(x[order], place[subject.policy.edges(x)]) for x in subject.observations]
+    )
     return _close(there, here, "actions change with the order of agents")
 
 
@@ -176,7 +165,7 @@ def success(subject: PolicySubject) -> str:
     task = subject.cell.make().with_actions(subject.policy.continuous_actions)
     seeds = range(FIRST_FIT_SEED, FIRST_FIT_SEED + subject.episodes)
     trained = roll_out(task, subject.policy, seeds)
-    rng = subject.rng
+    rng = np.random.default_rng(SEED)
 
     def at_random(observation: Floats, slots: Sequence[int]) -> tuple[NDArray[Any], Floats]:
         return random_actions(task, len(observation), rng), observation[..., :0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import random
+from collections.abc import Iterable
 
 import numpy as np
 import torch
@@ -19,14 +20,14 @@ def traces_of(policy: Policy, observations: Tensor) -> dict[str, str]:
     state = policy.state_dict()
     modules = dict(policy.named_modules())
     return {
-        "weights": _hash(*(state[key].detach().cpu().numpy().tobytes() for key in sorted(state))),
+        "weights": _hash(state[key] for key in sorted(state)),
         "gradients": str([None if p.grad is None else "set" for p in policy.parameters()]),
         "requires_grad": str([p.requires_grad for p in policy.parameters()]),
         "training mode": str([module.training for module in modules.values()]),
         "hooks": str([_hooks(module) for module in modules.values()]),
         "attributes": str([sorted(vars(module)) for module in modules.values()]),
         "layers": str([(name, type(module).__name__) for name, module in modules.items()]),
-        "answers": _hash(*(part.cpu().numpy().tobytes() for part in answer if isinstance(part, Tensor))),
+        "answers": _hash(part for part in answer if isinstance(part, Tensor)),
     }
 
 
@@ -58,8 +59,5 @@ def _hooks(module: nn.Module) -> dict[str, int]:
     }
 
 
-def _hash(*parts: bytes) -> str:
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part)
-    return digest.hexdigest()
+def _hash(tensors: Iterable[Tensor]) -> str:
+    return hashlib.sha256(b"".join(each.detach().cpu().numpy().tobytes() for each in tensors)).hexdigest()

@@ -22,8 +22,7 @@ S is the number of timesteps, N agents, D observation entries, W the width of a 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import torch
@@ -106,40 +105,32 @@ def step_under(
     return policy.decode_step(prepared, mask, stand_in)
 
 
-@dataclass(frozen=True)
 class Removal:
-    """Removes messages from a stretch of states under one absence model, by any masks."""
+    """Removes messages from a stretch of states under one absence model, by any masks.
 
-    policy: Policy
-    prepared: Any
-    absence: Absence
-    replaced: tuple[Tensor | None, ...]  # of `stand_ins`, for these timesteps
-    full: tuple[ActionDistribution, ...]  # F(1), for each effect that is averaged
+    observations: (S, N, D). replaced: of `stand_ins`, for these timesteps. All absence models but zero need a
+    GraphPolicy.
+    """
 
-    @classmethod
     @torch.no_grad()
-    def of(
-        cls, policy: Policy, observations: Tensor, absence: Absence, replaced: tuple[Tensor | None, ...]
-    ) -> Removal:
-        """observations: (S, N, D). All absence models but zero need a GraphPolicy."""
+    def __init__(
+        self, policy: Policy, observations: Tensor, absence: Absence, replaced: tuple[Tensor | None, ...]
+    ) -> None:
         n_steps, n_agents, _ = observations.shape
-        prepared, ones = policy.prepare(observations), torch.ones(n_steps, n_agents, n_agents)
-        full = tuple(_under(policy, prepared, ones, absence, each) for each in replaced)
-        return cls(policy, prepared, absence, replaced, full)
+        self.policy, self.absence, self.replaced = policy, absence, replaced
+        self.prepared, ones = policy.prepare(observations), torch.ones(n_steps, n_agents, n_agents)
+        self.full = [self._under(ones, each) for each in replaced]  # F(1), for each effect that is averaged
 
     @torch.no_grad()
     def change(self, mask: Tensor) -> NDArray[np.float64]:
         """(..., S, N, N) in [0, 1] -> (..., S, N): d_i."""
         changes = []
         for full, each in zip(self.full, self.replaced, strict=True):
-            heard = _under(self.policy, self.prepared, mask, self.absence, each)
+            heard = self._under(mask, each)
             changes.append(prediction_change(full.action.numpy(), heard.action.numpy(), full.divisor))
         return np.asarray(np.mean(changes, axis=0))
 
-
-def _under(
-    policy: Policy, prepared: Any, mask: Tensor, absence: Absence, stand_in: Tensor | None
-) -> ActionDistribution:
-    if isinstance(policy, GraphPolicy):
-        return step_under(policy, prepared, mask, absence, stand_in)[0]
-    return policy.decode(prepared, mask)
+    def _under(self, mask: Tensor, stand_in: Tensor | None) -> ActionDistribution:
+        if isinstance(self.policy, GraphPolicy):
+            return step_under(self.policy, self.prepared, mask, self.absence, stand_in)[0]
+        return self.policy.decode(self.prepared, mask)

@@ -18,21 +18,23 @@ import inspect
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypedDict, Unpack, get_args, overload
 
 import torch
 from torch import Tensor
 from torch_geometric.explain import AttentionExplainer, CaptumExplainer, ExplainerAlgorithm, PGExplainer
 
-from xmarl_bench.errors import InputError
-from xmarl_bench.explain.explainer import Access, Explain, Explainer, Fit, Scalar
-from xmarl_bench.explain.pyg import Copies, PygExplain, PygFit
-from xmarl_bench.explain.simulator import SIMULATOR, Simulated, Simulator
+from xmarl_bench.errors import InputError, failures_named
+from xmarl_bench.explain.explainer import Access, Explainer, Fit, Scalar
+from xmarl_bench.explain.pyg import Copies, PygExplain, fit_pg
+from xmarl_bench.explain.simulator import SIMULATOR, Simulator
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin, origin_of
 from xmarl_bench.policy import Policy
 
-PARAMETERS = ("policy", "observations", "generator")
+FIT_PARAMETERS = ("policy", "observations", "generator")
+PARAMETERS = (*FIT_PARAMETERS, SIMULATOR)
 
 
 class Declared(TypedDict, total=False):
@@ -76,7 +78,10 @@ def as_explainer(thing: object = None, /, **declared: Unpack[Declared]) -> Any:
             )
         return thing
     if inspect.isclass(thing):
-        return as_explainer(_instance(thing), **declared)
+        what = f"explainer {thing.__name__!r} cannot be made without arguments"
+        with failures_named(what, "give an instance"):
+            made = thing()
+        return as_explainer(made, **declared)
     if isinstance(thing, ExplainerAlgorithm):
         return _of_algorithm(thing, declared)
     if inspect.isroutine(thing):
@@ -129,29 +134,17 @@ class Named:
         simulator: Simulator | None = None,
         /,
     ) -> Tensor:
-        given = dict(zip((*PARAMETERS, SIMULATOR), (policy, observations, generator, simulator), strict=True))
+        given = dict(zip(PARAMETERS, (policy, observations, generator, simulator), strict=True))
         return self.function(**{name: given[name] for name in self.names})
 
 
-def explain_by_name(name: str, function: Callable[..., Any]) -> Explain | Simulated:
-    """What calls such a function, with the simulator if it names that. Raises InputError as `Named.of`."""
-    called = Named.of(name, function, (*PARAMETERS, SIMULATOR))
-    return Simulated(called) if SIMULATOR in called.names else called
-
-
-@dataclass(frozen=True)
-class FitByMethod:
+def _fit_by_method(
+    name: str, owner: Any, policy: Policy, observations: Tensor, generator: torch.Generator
+) -> Named:
     """Fits a copy of an object with its method `fit`. The copy then explains."""
-
-    name: str
-    owner: Any
-
-    def __call__(
-        self, policy: Policy, observations: Tensor, generator: torch.Generator
-    ) -> Explain | Simulated:
-        fitted = copy.deepcopy(self.owner)
-        Named.of(self.name, fitted.fit)(policy, observations, generator)
-        return explain_by_name(self.name, getattr(fitted, "explain", fitted))
+    fitted = copy.deepcopy(owner)
+    Named.of(name, fitted.fit, FIT_PARAMETERS)(policy, observations, generator)
+    return Named.of(name, getattr(fitted, "explain", fitted))
 
 
 def origin_of_explainer(explainer: Explainer) -> Origin:
@@ -159,8 +152,6 @@ def origin_of_explainer(explainer: Explainer) -> Origin:
     if explainer.origin is not None:
         return explainer.origin
     explain: object = explainer.explain
-    if isinstance(explain, Simulated):
-        explain = explain.function
     if isinstance(explain, Named):
         explain = explain.function
     if isinstance(explain, PygExplain) and isinstance(explain.algorithm, Copies):
@@ -181,9 +172,10 @@ def _made(
             raise InputError(
                 f"explainer {name!r} declares needs_fit: give it a method fit of observations and policy."
             )
-        Named.of(f"{name}.fit", owner.fit)
-        fit = FitByMethod(fields["name"], owner)
-    return Explainer(explain=explain_by_name(name, explain), fit=fit, **fields)
+        Named.of(f"{name}.fit", owner.fit, FIT_PARAMETERS)
+        fit = partial(_fit_by_method, fields["name"], owner)
+    called = Named.of(name, explain)
+    return Explainer(explain=called, simulates=SIMULATOR in called.names, fit=fit, **fields)
 
 
 def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explainer:
@@ -208,7 +200,7 @@ def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explaine
             f"explainer {name!r} declares accesses = {fields['accesses']!r}, but PyG's algorithms run the "
             f"network itself: declare 'gradients' or nothing."
         )
-    fit = PygFit(copies) if isinstance(algorithm, PGExplainer) else None
+    fit = partial(fit_pg, copies) if isinstance(algorithm, PGExplainer) else None
     if fields.pop("needs_fit", fit is not None) != (fit is not None):
         raise InputError(
             f"explainer {name!r} declares needs_fit = {fit is None}: leave it out, PGExplainer is the only "
@@ -240,16 +232,6 @@ def _scalars(values: Mapping[str, Any]) -> dict[str, Scalar]:
         for key, value in values.items()
         if not key.startswith("_") and isinstance(value, bool | int | float | str | None)
     }
-
-
-def _instance(cls: type) -> object:
-    try:
-        return cls()
-    except Exception as error:
-        raise InputError(
-            f"explainer {cls.__name__!r} cannot be made without arguments ({type(error).__name__}: {error}): "
-            f"give an instance."
-        ) from error
 
 
 def _first_line(thing: object) -> str:

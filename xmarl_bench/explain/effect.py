@@ -43,12 +43,12 @@ def action_divergence(full: ActionDistribution, other: ActionDistribution) -> ND
     return kl_divergence(*(part.numpy() for part in (full.loc, full.scale, other.loc, other.scale)))
 
 
-def effect_direction(policy: Policy, prepared: Any, n_steps: int, n_agents: int) -> Tensor:
+def effect_direction(policy: Policy, prepared: Any) -> Tensor:
     """(S, N, A): sign(F_i(1) - F_i(0)) / A, so that e_i is its product with F_i, up to a constant."""
     with torch.no_grad():
         full = policy.decode(prepared)
-        nothing = torch.zeros(n_steps, n_agents, n_agents, dtype=full.loc.dtype)
-        silent = policy.decode(prepared, nothing)
+        n_steps, n_agents, _ = full.loc.shape
+        silent = policy.decode(prepared, full.loc.new_zeros(n_steps, n_agents, n_agents))
     return torch.sign(full.action - silent.action) / full.divisor
 
 

@@ -6,19 +6,20 @@ S is the number of timesteps, N agents, D observation entries.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, TypeVar
+from typing import Literal, Protocol
 
 import torch
 from torch import Tensor
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, failures_named
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.node_importance import as_edge_masks
 from xmarl_bench.explain.pyg import class_settings_kept
 from xmarl_bench.explain.returned_mask import as_floats, checked_mask, finite
-from xmarl_bench.explain.simulator import Simulated, Simulator
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.origin.references import Origin
 from xmarl_bench.policy import Policy
@@ -29,7 +30,6 @@ from xmarl_bench.reproducible import derived_seed, one_thread, seeded, timestep_
 
 Scalar = bool | int | float | str | None
 Access = Literal["black-box", "attention", "gradients"]
-Result = TypeVar("Result")
 
 
 class Explain(Protocol):
@@ -61,7 +61,7 @@ class Elsewhere(Protocol):
 
 
 # (policy, observations (S, N, D) that no score uses, generator) -> what explains this policy.
-Fit = Callable[[Policy, Tensor, torch.Generator], "Explain | Simulated"]
+Fit = Callable[[Policy, Tensor, torch.Generator], Explain]
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Explainer:
     """
 
     name: str
-    explain: Explain | Simulated
+    explain: Explain
     summary: str = ""  # one line
     stochastic: bool = False  # another seed gives another mask
     slow: bool = False  # more than about 10 ms per timestep: a run may give it fewer episodes
@@ -85,6 +85,7 @@ class Explainer:
     # Returns the importance of each agent as a sender, (S, N), of which `as_edge_masks` makes masks; None:
     # not declared, the shape tells.
     node_importance: bool | None = None
+    simulates: bool = False  # plays on from the states that it explains: `explain` takes a simulator, too
     # Access to the policy. "black-box": a policy that only answers queries (policy.black_box); "attention":
     # the same with attention; "gradients", or None (not declared): the network itself.
     accesses: Access | None = None
@@ -100,11 +101,6 @@ class Explainer:
     origin: Origin | None = field(default=None, compare=False, repr=False)
     # What asks it, if it runs in a process of its own; None: it runs in this process.
     elsewhere: Elsewhere | None = field(default=None, compare=False, repr=False)
-
-    @property
-    def simulates(self) -> bool:
-        """Whether it plays on from the states that it explains: it needs the simulator of their episode."""
-        return isinstance(self.explain, Simulated)
 
 
 def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:
@@ -132,23 +128,18 @@ def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed
         raise InputError(f"explainer {explainer.name!r} is not fitted: fit it with `fit_explainer` first.")
     n_steps, n_agents, _ = observations.shape
     name, nodes, explain = explainer.name, explainer.node_importance, explain_of(explainer)
-
-    def run(generator: torch.Generator) -> object:
+    with _guarded(explainer, seed, f"observations of shape {tuple(observations.shape)}") as generator:
         if explainer.batched:
             returned = explain(*_given(explainer, policy, observations), generator)
             masks = as_edge_masks(name, returned, (n_steps, n_agents, n_agents), nodes)
             return masks.cpu() if isinstance(masks, Tensor) and explainer.device != CPU else masks
-        seeds = timestep_seeds(n_steps, generator)
         each_mask: list[Tensor] = []
-        for x, each in zip(observations, seeds, strict=True):
+        for x, each in zip(observations, timestep_seeds(n_steps, generator), strict=True):
             drawn = torch.Generator().manual_seed(each)
             returned = explain(*_given(explainer, policy, x), drawn)
             mask = as_edge_masks(name, returned, (n_agents, n_agents), nodes)
             each_mask.append(as_floats(name, mask, (n_agents, n_agents)))
-        stacked = torch.stack(each_mask)
-        return stacked if explainer.device == CPU else stacked.cpu()
-
-    return _guarded(explainer, seed, f"observations of shape {tuple(observations.shape)}", run)
+        return torch.stack(each_mask).cpu()
 
 
 def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Explainer:
@@ -156,18 +147,13 @@ def fit_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
 
     Runs on copies, as `run_explainer` does. Raises InputError, naming the explainer, if it fails.
     """
-    fit = explainer.fit
-    if fit is None:
+    if explainer.fit is None:
         return explainer
     elsewhere = elsewhere_of(explainer, policy)
     if elsewhere is not None:
         return replace(explainer, elsewhere=elsewhere.fit(policy, observations, seed), fitted_on=observations)
-    fitted = _guarded(
-        explainer,
-        seed,
-        f"{len(observations)} timesteps to be fitted on",
-        lambda generator: fit(*_given(explainer, policy, observations), generator),
-    )
+    with _guarded(explainer, seed, f"{len(observations)} timesteps to be fitted on") as generator:
+        fitted = explainer.fit(*_given(explainer, policy, observations), generator)
     return replace(explainer, explain=fitted, fitted_on=observations)
 
 
@@ -215,16 +201,15 @@ def explain_of(explainer: Explainer) -> Explain:
 
     Raises InputError if it does and has none.
     """
-    explain, simulator = explainer.explain, explainer.simulator
-    if not isinstance(explain, Simulated):
+    explain: Callable[..., Tensor] = explainer.explain
+    if not explainer.simulates:
         return explain
-    if simulator is None:
+    if explainer.simulator is None:
         raise InputError(
             f"explainer {explainer.name!r} plays on in the world of an episode, and these states have none: "
             f"leave it out."
         )
-    function, world = explain.function, simulator
-    return lambda policy, observations, generator: function(policy, observations, generator, world)
+    return lambda *given: explain(*given, explainer.simulator)
 
 
 def seen(explainer: Explainer, policy: Policy) -> Policy:
@@ -248,15 +233,9 @@ def mask_of_explainer(explainer: Explainer, mask: object, n_steps: int, n_agents
     return checked
 
 
-def _guarded(explainer: Explainer, seed: int, what: str, run: Callable[[torch.Generator], Result]) -> Result:
-    """Run with global random states seeded, and restore them afterwards. Errors name the explainer."""
-    with seeded(seed), class_settings_kept(), torch.inference_mode(False), torch.enable_grad():
-        try:
-            return run(torch.Generator().manual_seed(seed))
-        except InputError:
-            raise
-        except (Exception, SystemExit) as error:
-            reason = f"{type(error).__name__}: {error}".rstrip(". \n")
-            raise InputError(
-                f"explainer {explainer.name!r} failed on {what} ({reason}): correct it, or leave it out."
-            ) from error
+@contextmanager
+def _guarded(explainer: Explainer, seed: int, what: str) -> Iterator[torch.Generator]:
+    """Seeds global random states, and restores them afterwards. Errors name the explainer."""
+    failures = failures_named(f"explainer {explainer.name!r} failed on {what}", "correct it, or leave it out")
+    with seeded(seed), class_settings_kept(), torch.inference_mode(False), torch.enable_grad(), failures:
+        yield torch.Generator().manual_seed(seed)

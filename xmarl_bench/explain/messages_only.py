@@ -16,10 +16,9 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer
 from xmarl_bench.explain.control_names import MESSAGES_ONLY
-from xmarl_bench.explain.explainer import Explain, Explainer, Fit
+from xmarl_bench.explain.explainer import Explain, Explainer, Fit, explain_of
 from xmarl_bench.explain.node_importance import as_edge_masks
 from xmarl_bench.explain.returned_mask import as_floats
-from xmarl_bench.explain.simulator import Simulated
 from xmarl_bench.policy import ActionDistribution, Policy
 
 
@@ -30,11 +29,7 @@ class OwnKept(Policy):
         super().__init__()
         self.policy = policy
         self.graph, self.continuous_actions = policy.graph, policy.continuous_actions
-        self.memory_dim = policy.memory_dim
-
-    @property
-    def row_wise(self) -> bool:
-        return self.policy.row_wise
+        self.memory_dim, self.row_wise = policy.memory_dim, policy.row_wise
 
     def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
         """(n, D), (2, edges) -> (n, A): F of the mask with own edges at 1."""
@@ -68,8 +63,8 @@ def messages_only(thing: object) -> Explainer:
     """The explainer, or anything that `as_explainer` accepts, as `NAME-messages`; its masks have own edges 1.
 
     For batched explainers that call `decode` with masks, as all shipped ones except attention's do. Raises
-    InputError if the explainer is not batched, because it then uses the network itself, and where
-    `as_explainer` does.
+    InputError if the explainer is not batched, because it then uses the network itself, if it simulates, and
+    where `as_explainer` does.
     """
     explainer = as_explainer(thing)
     if not explainer.batched:
@@ -77,11 +72,15 @@ def messages_only(thing: object) -> Explainer:
             f"explainer {explainer.name!r} is called for one timestep at a time, with the network: make it "
             f"batched to explain messages only."
         )
-
+    if explainer.simulates:  # messages are those that the team sends
+        raise InputError(
+            f"explainer {explainer.name!r} plays on in the world of an episode: it cannot be asked about "
+            f"messages alone."
+        )
     return replace(
         explainer,
         name=f"{explainer.name}{MESSAGES_ONLY}",
-        explain=_asked(explainer, explainer.explain),
+        explain=_asked(explainer, explain_of(explainer)),
         summary=f"{explainer.summary}; an agent always hears itself",
         hyperparameters={**explainer.hyperparameters, "own_edge": "kept"},
         fit=None if explainer.fit is None else _asked_when_fitted(explainer, explainer.fit),
@@ -90,14 +89,7 @@ def messages_only(thing: object) -> Explainer:
     )
 
 
-def _asked(explainer: Explainer, explain: Explain | Simulated) -> Explain:
-    """Raises InputError for one that plays on, where messages are those that the team sends."""
-    if isinstance(explain, Simulated):
-        raise InputError(
-            f"explainer {explainer.name!r} plays on in the world of an episode: it cannot be asked about "
-            f"messages alone."
-        )
-
+def _asked(explainer: Explainer, explain: Explain) -> Explain:
     def about_messages(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
         n_steps, n_agents, _ = observations.shape
         returned = explain(OwnKept(policy), observations, generator)

@@ -135,13 +135,8 @@ def best_rows(change: NDArray[np.float64], edges: NDArray[np.bool_] | None = Non
 
 def oracle_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N) of zeros and ones: the best binary mask for FidDelta."""
-    edges = existing_edges(policy, observations)
-    with torch.no_grad():
-        best = [
-            best_rows(change_from_last(table), None if edges is None else edges[steps])
-            for steps, table in action_tables(policy, observations)
-        ]
-    return mask_of(np.concatenate(best), observations.shape[1])
+    best = best_rows(change_table(policy, observations), existing_edges(policy, observations))
+    return mask_of(best, observations.shape[1])
 
 
 def mask_of(rows: NDArray[np.int64], n_agents: int) -> Tensor:

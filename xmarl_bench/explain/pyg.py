@@ -13,6 +13,7 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -43,7 +44,7 @@ class PygExplain:
     An algorithm that masks no edges masks nodes instead, for one agent at a time: row i is the node mask of
     agent i. One that needs classes (PGMExplainer) explains the likeliest of discrete actions.
 
-    A PGExplainer is first trained on all timesteps and agents of the episode (`PygFit` uses other states),
+    A PGExplainer is first trained on all timesteps and agents of the episode (`fit_pg` uses other states),
     one object per episode. It explains agent by agent for any options, because PyG's supports nothing else.
     """
 
@@ -58,9 +59,8 @@ class PygExplain:
         with class_settings_kept(), torch.random.fork_rng(devices=[]), torch.enable_grad():
             torch.manual_seed(seeds[0])
             if isinstance(self.algorithm(), PGExplainer):
-                return PygFit(self.algorithm)(policy, observations, generator)(
-                    policy, observations, generator
-                )
+                explain = fit_pg(self.algorithm, policy, observations, generator)
+                return explain(policy, observations, generator)
             form = EDGES if self.effect else form_of(self.algorithm, policy)
             masks = [
                 self._explain(policy, graph.clone(), seed, form)
@@ -94,62 +94,50 @@ class _Effect(nn.Module):
     def __init__(self, policy: Policy, x: Tensor) -> None:
         super().__init__()
         self.policy = policy
-        self.direction = effect_direction(policy, policy.prepare(x[None]), 1, len(x))[0]
+        self.direction = effect_direction(policy, policy.prepare(x[None]))[0]
 
     def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
         action: Tensor = self.policy(x, edge_index)
         return (action * self.direction).sum().view(1)
 
 
-@dataclass(frozen=True)
-class PygFit:
-    """A `Fit` (see explainer.py) made of a PGExplainer, the algorithm of PyG that is trained first.
+def fit_pg(
+    make: Callable[[], ExplainerAlgorithm], policy: Policy, observations: Tensor, generator: torch.Generator
+) -> Callable[[Policy, Tensor, torch.Generator], Tensor]:
+    """(S, N, D) -> an `Explain` for the policy (see explainer.py) of a PGExplainer, which PyG trains first.
 
-    algorithm: makes a new PGExplainer. It is trained on every timestep and agent, `epochs` times.
+    make: makes a new PGExplainer. It is trained on every timestep and agent, `epochs` times.
     """
-
-    algorithm: Callable[[], ExplainerAlgorithm]
-
-    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> TrainedPG:
-        """(S, N, D) -> an `Explain` for the policy, agent by agent."""
-        agents = range(observations.shape[1])
-        with class_settings_kept(), torch.random.fork_rng(devices=[]), torch.enable_grad():
-            torch.manual_seed(int(torch.randint(2**62, (), generator=generator)))
-            algorithm, model = self.algorithm(), _private(policy)
-            assert isinstance(algorithm, PGExplainer)
-            _connect(model, algorithm, "node", "phenomenon")
-            graphs = [(x.clone(), policy.layer_edges(x)) for x in observations]
-            targets = [model(x, edge_index).detach() for x, edge_index in graphs]
-            for epoch in range(algorithm.epochs):
-                for (x, edge_index), target in zip(graphs, targets, strict=True):
-                    for i in agents:
-                        algorithm.train(epoch, model, x, edge_index, target=target, index=i)
-        return TrainedPG(algorithm)
+    agents = range(observations.shape[1])
+    with class_settings_kept(), torch.random.fork_rng(devices=[]), torch.enable_grad():
+        torch.manual_seed(int(torch.randint(2**62, (), generator=generator)))
+        algorithm, model = make(), _private(policy)
+        assert isinstance(algorithm, PGExplainer)
+        _connect(model, algorithm, "node", "phenomenon")
+        graphs = [(x.clone(), policy.layer_edges(x)) for x in observations]
+        targets = [model(x, edge_index).detach() for x, edge_index in graphs]
+        for epoch in range(algorithm.epochs):
+            for (x, edge_index), target in zip(graphs, targets, strict=True):
+                for i in agents:
+                    algorithm.train(epoch, model, x, edge_index, target=target, index=i)
+    return partial(_explain_by_pg, algorithm)
 
 
-@dataclass(frozen=True, eq=False)
-class TrainedPG:
-    """An `Explain` made of a PGExplainer that has been trained."""
-
-    algorithm: PGExplainer
-
-    def __call__(self, policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-        """(S, N, D) -> (S, N, N): row i is from the explanation of agent i."""
-        agents = range(observations.shape[1])
-        model = _private(policy)
-        explainer = _connect(model, copy.deepcopy(self.algorithm), "node", "phenomenon")
-        masks = []
-        for x in observations:
-            edge_index = policy.layer_edges(x)
-            with torch.no_grad():
-                target = model(x, edge_index)
-            explained = [explainer(x, edge_index, target=target, index=i) for i in agents]
-            rows = [
-                mask_of_explanation("PGExplainer", each, len(x))[i]
-                for i, each in zip(agents, explained, strict=True)
-            ]
-            masks.append(torch.stack(rows))
-        return torch.stack(masks).detach()
+def _explain_by_pg(
+    trained: PGExplainer, policy: Policy, observations: Tensor, generator: torch.Generator
+) -> Tensor:
+    """(S, N, D) -> (S, N, N): row i is from the explanation of agent i."""
+    model = _private(policy)
+    explainer = _connect(model, copy.deepcopy(trained), "node", "phenomenon")
+    masks = []
+    for x in observations:
+        edge_index = policy.layer_edges(x)
+        with torch.no_grad():
+            target = model(x, edge_index)
+        explained = [explainer(x, edge_index, target=target, index=i) for i in range(len(x))]
+        rows = [mask_of_explanation("PGExplainer", each, len(x))[i] for i, each in enumerate(explained)]
+        masks.append(torch.stack(rows))
+    return torch.stack(masks).detach()
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,10 @@ S is the number of timesteps, N agents, D observation entries.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from xmarl_envs import TASKS, VectorEnv, make_task
@@ -64,13 +62,3 @@ class Simulator:
         env = VectorEnv(task, len(observations))
         env.restart(self.seed, state[..., :2], state[..., 2:])
         return env
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """A callable that explains with the simulator of the explained episode.
-
-    function: policy, observations (S, N, D) of that episode, generator, simulator -> mask (S, N, N).
-    """
-
-    function: Callable[[Policy, Tensor, torch.Generator, Simulator], Tensor]

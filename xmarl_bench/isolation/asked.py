@@ -113,12 +113,8 @@ class AskedPolicy(PolicyElsewhere):
         self.graph, self.memory_dim = architecture.graph, memory_dim
         self.continuous_actions = architecture.distribution != "categorical"
         self.seed: int | None = None  # of its shuffled weights
-        self._row_wise, self._no_attention = row_wise, no_attention
+        self.row_wise, self._no_attention = row_wise, no_attention
         self.sha256 = hashlib.sha256(pickled).hexdigest()
-
-    @property
-    def row_wise(self) -> bool:
-        return self._row_wise
 
     def shuffled(self, seed: int) -> AskedPolicy:
         other = copy.copy(self)

@@ -18,7 +18,7 @@ from xmarl_bench.entry.schema import ExplainerRecord
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.simulator import SIMULATOR, Simulated
+from xmarl_bench.explain.simulator import SIMULATOR
 from xmarl_bench.isolation.asked import Asked
 from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
 from xmarl_bench.metrics.absence import Absence
@@ -54,7 +54,7 @@ def isolate(explainer: Explainer, isolation: Isolation) -> Explainer:
     source = Source(f"explainer {explainer.name}", {"what": "load", "pickled": content}, isolation)
     return replace(
         explainer,
-        explain=Simulated(_not_here) if explainer.simulates else _not_here,
+        explain=_not_here,
         fit=None if explainer.fit is None else _not_here,
         origin=explainer.origin or origin_of_explainer(explainer),
         elsewhere=Asked(source, key),
@@ -76,7 +76,8 @@ def find_elsewhere(
     its_own = Origin(declared.distribution, declared.version, declared.entry_point, declared.code_sha256)
     return Explainer(
         **{field: getattr(declared, field) for field in DECLARED},
-        explain=Simulated(_not_here) if declared.accesses == SIMULATOR else _not_here,
+        explain=_not_here,
+        simulates=declared.accesses == SIMULATOR,
         accesses=None if declared.accesses == SIMULATOR else declared.accesses,
         fit=_not_here if declared.needs_fit else None,
         origin=origin or its_own,

@@ -26,28 +26,19 @@ if TYPE_CHECKING:
     from xmarl_bench.policy.network import GraphPolicy, Prepared
 
 _MODULES = {
-    "ActionDistribution": "distribution",
-    "AnyArchitecture": "architecture",
-    "Architecture": "architecture",
-    "CodeArchitecture": "architecture",
-    "CompleteGraph": "graph",
-    "FixedGraph": "graph",
-    "Graph": "graph",
-    "GraphLayer": "architecture",
-    "GraphPolicy": "network",
-    "LayeredArchitecture": "architecture",
-    "ModulePolicy": "module",
-    "Policy": "interface",
-    "PolicyCard": "card",
-    "Prepared": "network",
-    "RadiusGraph": "graph",
-    "build_policy": "build",
-    "complete_graph": "graph",
-    "existing_edges": "interface",
-    "initial_policy": "build",
-    "load_policy": "bundle",
-    "save_policy": "bundle",
-}
+    "architecture": (
+        "AnyArchitecture", "Architecture", "CodeArchitecture", "GraphLayer", "LayeredArchitecture",
+    ),
+    "build": ("build_policy", "initial_policy"),
+    "bundle": ("load_policy", "save_policy"),
+    "card": ("PolicyCard",),
+    "distribution": ("ActionDistribution",),
+    "graph": ("CompleteGraph", "FixedGraph", "Graph", "RadiusGraph", "complete_graph"),
+    "interface": ("Policy", "existing_edges"),
+    "module": ("ModulePolicy",),
+    "network": ("GraphPolicy", "Prepared"),
+}  # fmt: skip
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "ActionDistribution", "AnyArchitecture", "Architecture", "CodeArchitecture", "CompleteGraph",
@@ -58,8 +49,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module 'xmarl_bench.policy' has no attribute {name!r}")
-    value = getattr(import_module(f"xmarl_bench.policy.{_MODULES[name]}"), name)
+    value = getattr(import_module(f"xmarl_bench.policy.{_MODULE_OF[name]}"), name)
     globals()[name] = value
     return value

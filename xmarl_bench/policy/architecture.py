@@ -6,7 +6,7 @@ memory before anything is built.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -91,10 +91,7 @@ class Architecture(_Network):
     decoder: Widths
     decoder_activation: Activation
     distribution: Literal["tanh_normal", "categorical"] = "tanh_normal"
-
-    @property
-    def graph(self) -> Graph:
-        return CompleteGraph()
+    graph: ClassVar[Graph] = CompleteGraph()
 
     @model_validator(mode="after")
     def _placed(self) -> Architecture:
@@ -171,28 +168,19 @@ class LayeredArchitecture(_Network):
 
     def as_one_layer(self) -> Architecture | None:
         """The same network as a record for the fast path; None if the fast path does not support it."""
-        layer, distribution = self.layers[0], self.distribution
+        layer = self.layers[0]
         fits = (
             len(self.layers) == 1
             and (layer.conv, layer.heads, layer.edges) == ("GATv2Conv", 1, None)
+            and self.distribution in ("tanh_normal", "categorical")
             and self.scale == "softplus"
             and self.graph == CompleteGraph()
         )
-        if not fits or distribution not in ("tanh_normal", "categorical"):
+        if not fits:
             return None
-        return Architecture(
-            obs_dim=self.obs_dim,
-            action_dim=self.action_dim,
-            encoder=self.encoder,
-            encoder_activation=self.encoder_activation,
-            gat_width=layer.width,
-            gat_activation=layer.activation,
-            residual=layer.residual,
-            decoder=self.decoder,
-            decoder_activation=self.decoder_activation,
-            distribution=distribution,
-            memory=self.memory,
-        )
+        same = self.model_dump(include=Architecture.model_fields.keys() - {"kind"})
+        of_layer = {"gat_width": layer.width, "gat_activation": layer.activation, "residual": layer.residual}
+        return Architecture.model_validate({**same, **of_layer})
 
     @model_validator(mode="after")
     def _placed(self) -> LayeredArchitecture:

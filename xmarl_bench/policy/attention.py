@@ -40,7 +40,11 @@ def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
         _, (received, alpha) = layer.forward(*args, **{**kwargs, "return_attention_weights": True})
         keep(given.places(layer, received), alpha)
 
-    asked = [layer for layer in layers_of(network) if _returns_attention(layer)]
+    asked = [
+        layer
+        for layer in layers_of(network)
+        if "return_attention_weights" in inspect.signature(layer.forward).parameters
+    ]
     with ExitStack() as hooks:
         for layer in asked:
             hooks.callback(layer.register_forward_hook(ask, with_kwargs=True).remove)
@@ -53,7 +57,3 @@ def attention_on(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
     if not found:
         raise NoAttentionError(f"{type(network).__name__} has no attention layer: choose another explainer.")
     return torch.stack(found).mean(dim=0)
-
-
-def _returns_attention(layer: MessagePassing) -> bool:
-    return "return_attention_weights" in inspect.signature(layer.forward).parameters

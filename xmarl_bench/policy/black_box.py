@@ -24,50 +24,33 @@ class BlackBox(Policy):
     def __init__(self, policy: Policy, *, attention: bool = False) -> None:
         super().__init__()
         self.graph, self.continuous_actions = policy.graph, policy.continuous_actions
-        self.memory_dim = policy.memory_dim
+        self.memory_dim, self.row_wise = policy.memory_dim, policy.row_wise
+        # A closure, because an attribute would make its weights ours.
+        self._policy: Callable[[], Policy] = lambda: policy
+        self._reads_attention = attention
 
-        def prepare(observation: Tensor) -> Answer:
-            with torch.no_grad():
-                prepared = policy.prepare(observation)
-
-            def answer(mask: Tensor | None) -> ActionDistribution:
-                with torch.no_grad():
-                    return policy.decode(prepared, mask)
-
-            return answer
-
-        def act(x: Tensor, edge_index: Tensor, weight: Tensor | None) -> Tensor:
-            with torch.no_grad():
-                return policy.act(x, edge_index, weight)
-
-        def attended(observation: Tensor) -> Tensor:
-            if not attention:
-                raise InputError(
-                    "the explainer reads attention but does not declare it: add 'attention' to its accesses."
-                )
-            with torch.no_grad():
-                return policy.attention(observation)
-
-        self._row_wise, self._prepare, self._act, self._attended = (
-            policy.row_wise, prepare, act, attended,
-        )  # fmt: skip
-
-    @property
-    def row_wise(self) -> bool:
-        return self._row_wise
-
+    @torch.no_grad()
     def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
         """(n, D), (2, edges) -> (n, A): F(m), without gradient."""
-        return self._act(x, edge_index, weight)
+        return self._policy().act(x, edge_index, weight)
 
+    @torch.no_grad()
     def prepare(self, observation: Tensor) -> Answer:
         """(S, N, D) -> a function that answers for these observations."""
-        return self._prepare(observation)
+        policy = self._policy()
+        prepared = policy.prepare(observation)
+        return lambda mask: policy.decode(prepared, mask)
 
+    @torch.no_grad()
     def decode(self, prepared: Answer, mask: Tensor | None = None) -> ActionDistribution:
         """F(m), without gradient."""
         return prepared(mask)
 
+    @torch.no_grad()
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N). Raises InputError if the explainer does not declare attention."""
-        return self._attended(observation)
+        if not self._reads_attention:
+            raise InputError(
+                "the explainer reads attention but does not declare it: add 'attention' to its accesses."
+            )
+        return self._policy().attention(observation)

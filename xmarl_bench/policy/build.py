@@ -50,7 +50,7 @@ def build_policy(
     if one_layer is not None:
         policy = GraphPolicy(one_layer)
         if weights is not None:
-            policy.load_state_dict({_as_gat(name): tensor for name, tensor in weights.items()})
+            policy.load_state_dict({name.replace(LAYER, "gat."): each for name, each in weights.items()})
         return policy.eval()
     assert isinstance(architecture, LayeredArchitecture)
     network = LayeredNetwork(architecture)
@@ -113,7 +113,3 @@ def _check_shapes(expected: dict[str, tuple[int, ...]], weights: dict[str, Tenso
     problem = misfit(expected, {name: tuple(tensor.shape) for name, tensor in weights.items()})
     if problem is not None:
         raise InputError(f"the weights do not fit the architecture: {problem}.")
-
-
-def _as_gat(name: str) -> str:
-    return f"gat.{name.removeprefix(LAYER)}" if name.startswith(LAYER) else name

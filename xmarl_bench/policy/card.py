@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import (
@@ -17,6 +17,8 @@ from xmarl_bench.policy.architecture import (
 from xmarl_bench.policy.untrusted import CARD, MAX_BYTES, read_member
 from xmarl_bench.records.field_types import Agents, Name, Sha256
 from xmarl_bench.records.strict_json import first_error, parse_json, shown
+
+Record = TypeVar("Record")
 
 
 class PolicyCard(BaseModel):
@@ -41,6 +43,9 @@ class PolicyCard(BaseModel):
     performance: dict[str, Any] = Field(default_factory=dict, description="task metrics, as measured then")
 
 
+_CARD = TypeAdapter(PolicyCard)
+
+
 def load_card(bundle: Path) -> PolicyCard:
     """Read and validate `policy.json` only. Raises InputError if it is invalid."""
     return parse_card(read_member(bundle, CARD), str(bundle / CARD))
@@ -48,21 +53,26 @@ def load_card(bundle: Path) -> PolicyCard:
 
 def parse_card(data: bytes, where: str) -> PolicyCard:
     """The card of a bundle. Raises InputError if it is invalid. where: its path, for the message."""
-    try:
-        parse_json(data, max_bytes=MAX_BYTES[CARD])
-        card = PolicyCard.model_validate_json(data)
-    except ValidationError as error:
-        problem, place = first_error(error)
-        problem, place = shown(problem, 200).strip("'\""), shown(place or "the whole file")
-        raise InputError(f"{where} is not a policy card: {problem} at {place}.") from None
-    except ValueError as error:
-        raise InputError(f"{where} is not a policy card: it {error}.") from None
+    card = parse_record(_CARD, "a policy card", data, where)
     if isinstance(card.architecture, CodeArchitecture):
         raise InputError(
             f"{where} is not a policy card: its architecture is code, which bundles do not hold: give "
             f"the code itself, as module:factory with --trust-code."
         )
     return card
+
+
+def parse_record(kind: TypeAdapter[Record], what: str, data: bytes, where: str) -> Record:
+    """A record of strict JSON, of at most a megabyte. Raises InputError if it is not `what`."""
+    try:
+        parse_json(data, max_bytes=MAX_BYTES[CARD])
+        return kind.validate_json(data)
+    except ValidationError as error:
+        problem, place = first_error(error)
+        problem, place = shown(problem, 200).strip("'\""), shown(place or "the whole file")
+        raise InputError(f"{where} is not {what}: {problem} at {place}.") from None
+    except ValueError as error:
+        raise InputError(f"{where} is not {what}: it {error}.") from None
 
 
 def closed(architecture: AnyArchitecture) -> Architecture | LayeredArchitecture:

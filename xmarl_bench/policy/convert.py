@@ -14,6 +14,7 @@ the longest matching prefix counts. New names are those of `weight_shapes`: `enc
 from __future__ import annotations
 
 import io
+import json
 import pickle
 import pickletools
 import re
@@ -25,17 +26,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from safetensors import SafetensorError
 from safetensors.torch import load as load_safetensors
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import Architecture, BundledArchitecture, LayeredArchitecture
+from xmarl_bench.policy.card import parse_record
 from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import read_file
 from xmarl_bench.policy.wrapped import plain_name
-from xmarl_bench.records.strict_json import first_error, parse_json, shown
+from xmarl_bench.records.strict_json import parse_json, shown
 
 MAX_BYTES = 512 * 1024 * 1024  # of a whole checkpoint, with critic and optimiser
 MAX_PICKLE = 4 * 1024 * 1024  # of the list of tensors, without their values
@@ -91,35 +93,20 @@ def sb3_architecture(path: Path, tensors: Mapping[str, Tensor]) -> Record | None
         actor = rename(tensors, SB3_KEYS)
         first = actor.get("encoder.0.weight", actor.get("gat.lin_l.weight"))
         assert first is not None
-        return Architecture.model_validate({**_tuples(record), "obs_dim": first.shape[1]})
+        return Architecture.model_validate_json(json.dumps({**record, "obs_dim": first.shape[1]}))
     except (ValueError, KeyError, TypeError, AssertionError, IndexError):
         raise InputError(f"{path} is not a checkpoint of xmarl-train: give --architecture.") from None
 
 
 def read_architecture(path: Path) -> Record:
     """Read an architecture record from JSON. Raises InputError if it is invalid."""
-    data = read_file(path, 1024 * 1024)
-    try:
-        parse_json(data)
-        return _RECORD.validate_json(data)
-    except ValidationError as error:
-        problem, where = first_error(error)
-        raise InputError(
-            f"{path} is not an architecture: {shown(problem)} at {shown(where or 'the whole file')}."
-        ) from None
-    except ValueError as error:
-        raise InputError(f"{path} is not an architecture: it {error}.") from None
+    return parse_record(_RECORD, "an architecture", read_file(path, 1024 * 1024), str(path))
 
 
 def read_key_map(path: Path) -> KeyMap:
     """Read a key map from JSON: an object of strings and nulls. Raises InputError if it is invalid."""
-    data = read_file(path, 1024 * 1024)
-    try:
-        return _KEY_MAP.validate_python(parse_json(data), strict=True)
-    except ValidationError:
-        raise InputError(f"{path} is not a key map: map prefixes to prefixes, or to null.") from None
-    except ValueError as error:
-        raise InputError(f"{path} is not a key map: it {error}.") from None
+    what = "a key map of prefixes to prefixes or null"
+    return parse_record(_KEY_MAP, what, read_file(path, 1024 * 1024), str(path))
 
 
 def renamed_weights(
@@ -219,42 +206,37 @@ def dense(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]]) 
 def _torch_load(data: bytes, path: Path) -> Any:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = archive.infolist()
-    stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
-    small = all(m.file_size <= MAX_PICKLE for m in members if m.filename.endswith("data.pkl"))
-    if not stored or not small:
-        raise InputError(f"{path} is not a file of torch.save: save the state dict again.")
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            for member in members:
-                if member.filename.endswith("data.pkl"):
-                    _check_pickle(archive.read(member), path)
-        return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-    except (
-        pickle.UnpicklingError,
-        RuntimeError,
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-        IndexError,
-    ):
-        raise InputError(
-            f"{path} holds more than tensors and plain containers, or is damaged: save the state dict alone, "
-            f"torch.save(model.state_dict(), ...)."
-        ) from None
+        pickles = [member for member in members if member.filename.endswith("data.pkl")]
+        stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
+        if not stored or any(member.file_size > MAX_PICKLE for member in pickles):
+            raise InputError(f"{path} is not a file of torch.save: save the state dict again.")
+        try:
+            for member in pickles:
+                _check_pickle(archive.read(member))
+            return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        except (
+            pickle.UnpicklingError,
+            RuntimeError,
+            ValueError,
+            TypeError,
+            KeyError,
+            AttributeError,
+            IndexError,
+        ):
+            raise InputError(
+                f"{path} holds more than tensors and plain containers, or is damaged: save the state dict "
+                f"alone, torch.save(model.state_dict(), ...)."
+            ) from None
 
 
-def _check_pickle(data: bytes, path: Path) -> None:
-    """Raise InputError if the pickle names a class that makes memory of any size from a number.
+def _check_pickle(data: bytes) -> None:
+    """Raise UnpicklingError if the pickle names a class that makes memory of any size from a number.
 
     torch's reader allows them. It knows GLOBAL alone of the opcodes that name something.
     """
     for code, argument, _ in pickletools.genops(data):
         if code.name == "GLOBAL" and ALLOCATES.fullmatch(str(argument)):
-            raise InputError(
-                f"{path} holds more than tensors and plain containers ({shown(argument)}): save the state "
-                f"dict alone."
-            )
+            raise pickle.UnpicklingError(f"names {argument}")
 
 
 def _flat(value: Any, path: Path) -> Iterator[tuple[str, Tensor]]:
@@ -290,7 +272,3 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
 def _some(names: list[str], most: int = 8) -> str:
     listed = ", ".join(shown(name).strip("'") for name in names[:most])
     return f"{listed} and {len(names) - most} more" if len(names) > most else listed
-
-
-def _tuples(record: dict[str, Any]) -> dict[str, Any]:
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in record.items()}

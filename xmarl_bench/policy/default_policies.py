@@ -32,21 +32,20 @@ def is_checkpoint(card: PolicyCard) -> bool:
     return "percent" in card.training
 
 
-def default_policies(cards: Iterable[PolicyCard], family: str = DEFAULT_FAMILY) -> list[PolicyCard]:
+def default_policies(cards: Iterable[PolicyCard]) -> list[PolicyCard]:
     """The best card of each task and team size, with and without the attention-entropy term.
 
-    Prefers `family` in cells that have it; the first of equals. Skips checkpoints and policies without
-    validation metrics.
+    Prefers `DEFAULT_FAMILY` in cells that have it; the first of equals. Skips checkpoints and policies
+    without validation metrics.
     """
     cells: defaultdict[tuple[str, int, bool], list[PolicyCard]] = defaultdict(list)
     for card in cards:
         if not is_checkpoint(card) and "validation" in card.training:
             cells[card.task, card.n_agents, card.attention_entropy > 0].append(card)
     return [
-        max([card for card in group if card.family == family] or group, key=_key)
+        max(
+            [card for card in group if card.family == DEFAULT_FAMILY] or group,
+            key=lambda card: selection_key(card.task, card.training["validation"]),
+        )
         for _, group in sorted(cells.items())
     ]
-
-
-def _key(card: PolicyCard) -> tuple[float, float]:
-    return selection_key(card.task, card.training["validation"])

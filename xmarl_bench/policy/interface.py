@@ -35,11 +35,7 @@ class Policy(nn.Module, ABC):
     graph: Graph = CompleteGraph()  # which agents hear which
     continuous_actions: bool = True  # False: it chooses a numbered action, see xmarl_envs.actions
     memory_dim: int = 0  # H, numbers that each agent remembers from one timestep to the next
-
-    @property
-    @abstractmethod
-    def row_wise(self) -> bool:
-        """Whether F_i depends on row i of the mask only, as with a single message-passing layer."""
+    row_wise: bool  # whether F_i depends on row i of the mask only, as with a single message-passing layer
 
     def forward(
         self,

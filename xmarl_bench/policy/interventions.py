@@ -95,12 +95,12 @@ def check_receivers(policy: Policy, x: Tensor) -> None:
     other agents through later messages, so all other receivers get none.
     """
     n_agents, generator = len(x), torch.Generator().manual_seed(1)
-    adjacency = policy.adjacency(x[None])
-    edges = (torch.ones(n_agents, n_agents) if adjacency is None else adjacency[0]).nonzero()
-    n_tried = min(len(edges), MAX_TRIED, max(1, TRIED_AT_ONCE // n_agents**2))
+    edges = policy.edges(x)
+    n_edges = edges.shape[1]
+    n_tried = min(n_edges, MAX_TRIED, max(1, TRIED_AT_ONCE // n_agents**2))
     if n_tried == 0:
         return
-    receiver, sender = edges[torch.randperm(len(edges), generator=generator)[:n_tried]].T
+    sender, receiver = edges[:, torch.randperm(n_edges, generator=generator)[:n_tried]]
     tried = torch.arange(n_tried)
     mask = torch.rand(n_tried, n_agents, n_agents, generator=generator)
     if not policy.row_wise:

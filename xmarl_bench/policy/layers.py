@@ -24,19 +24,13 @@ class LayeredNetwork(nn.Module):
         super().__init__()
         a = architecture
         self.encoder = mlp((a.obs_dim, *a.encoder), a.encoder_activation)
-        widths = [
-            a.encoder[-1] if a.encoder else a.obs_dim,
-            *(layer.out_width for layer in a.layers),
-        ]
+        widths = [(a.obs_dim, *a.encoder)[-1], *(layer.out_width for layer in a.layers)]
         self.architecture = a
         self.memory = None if a.memory is None else recurrent_cell(a.memory, widths)
         self.layers = nn.ModuleList(_layer(n_in, each) for n_in, each in zip(widths, a.layers, strict=False))
         self.activations = nn.ModuleList(ACTIVATIONS[each.activation]() for each in a.layers)
-        decoded = a.decoder[-1] if a.decoder else widths[-1]
-        self.decoder = nn.Sequential(
-            *mlp((widths[-1], *a.decoder), a.decoder_activation),
-            nn.Linear(decoded, raw_width(a.distribution, a.action_dim)),
-        )
+        n_out = raw_width(a.distribution, a.action_dim)
+        self.decoder = mlp((widths[-1], *a.decoder), a.decoder_activation, n_out)
 
     def initial_state(self, n: int) -> Tensor:
         """(n, H)"""
@@ -61,22 +55,8 @@ class LayeredNetwork(nn.Module):
 def _layer(n_in: int, layer: GraphLayer) -> MessagePassing:
     """Loops are explicit edges of the graph, so no layer adds its own."""
     edge_dim = None if layer.edges is None else layer.edges.width
+    settings = {"heads": layer.heads, "concat": layer.concat, "edge_dim": edge_dim}
     if layer.conv == "TransformerConv":
-        return TransformerConv(
-            n_in,
-            layer.width,
-            heads=layer.heads,
-            concat=layer.concat,
-            root_weight=layer.residual,
-            edge_dim=edge_dim,
-        )
+        return TransformerConv(n_in, layer.width, root_weight=layer.residual, **settings)
     convolution = GATConv if layer.conv == "GATConv" else GATv2Conv
-    return convolution(
-        n_in,
-        layer.width,
-        heads=layer.heads,
-        concat=layer.concat,
-        residual=layer.residual,
-        add_self_loops=False,
-        edge_dim=edge_dim,
-    )
+    return convolution(n_in, layer.width, residual=layer.residual, add_self_loops=False, **settings)

@@ -69,12 +69,7 @@ class ModulePolicy(Policy):
         self.graph.check(n_agents, obs_dim)
         teams = random_teams(2, n_agents, obs_dim).to(next(network.parameters(), torch.empty(0)).dtype)
         self.memory_dim = initial_state(network, n_agents).shape[1]
-        self._n_calls = self._check_network(teams)
-
-    @property
-    def row_wise(self) -> bool:
-        """True if exactly one message-passing layer runs, once, in a forward pass."""
-        return self._n_calls == 1
+        self.row_wise = self._check_network(teams) == 1
 
     def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
         """(n, D), (2, edges) in any order -> (n, A): F(m)."""

@@ -57,16 +57,14 @@ class GraphPolicy(Policy):
         self.continuous_actions = a.distribution != "categorical"
         self.encoder = mlp((a.obs_dim, *a.encoder), a.encoder_activation)
         self.memory_dim = a.memory_dim
-        widths = [a.encoder[-1] if a.encoder else a.obs_dim, a.gat_width]
+        widths = [(a.obs_dim, *a.encoder)[-1], a.gat_width]
         self.memory = None if a.memory is None else recurrent_cell(a.memory, widths)
         # Loops are explicit edges of the graph: with add_self_loops=True, PyG silently re-orders them and so
         # reads an explainer's mask in the wrong order.
         self.gat = GATv2Conv(widths[0], a.gat_width, heads=1, add_self_loops=False, residual=a.residual)
         self.gat_activation = ACTIVATIONS[a.gat_activation]()
-        self.decoder = nn.Sequential(
-            *mlp((widths[1], *a.decoder), a.decoder_activation),
-            nn.Linear(a.decoder[-1] if a.decoder else widths[1], raw_width(a.distribution, a.action_dim)),
-        )
+        n_out = raw_width(a.distribution, a.action_dim)
+        self.decoder = mlp((widths[1], *a.decoder), a.decoder_activation, n_out)
 
     def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
         """(n, D), (2, edges) -> (n, A): F(m), by PyG's message passing on any graph."""
@@ -107,7 +105,11 @@ class GraphPolicy(Policy):
         self, prepared: Prepared, mask: Tensor | None = None, stand_in: Tensor | None = None
     ) -> tuple[ActionDistribution, Tensor]:
         """As `decode`, and (..., S, N, H): what agents remember at the next timestep."""
-        return self.head(self._heard(prepared, mask, stand_in), prepared.memory)
+        weight = prepared.attention if mask is None else prepared.attention * mask
+        hidden = weight @ prepared.message + prepared.own
+        if stand_in is not None:
+            hidden = hidden + (prepared.attention - weight) @ stand_in
+        return self.head(hidden, prepared.memory)
 
     def attention(self, observation: Tensor) -> Tensor:
         """(S, N, D) -> (S, N, N): the layer's coefficients."""
@@ -120,14 +122,6 @@ class GraphPolicy(Policy):
         seen, memory = observation.split([self.architecture.obs_dim, self.memory_dim], dim=-1)
         return remember(self.architecture.memory, self.memory, 0, self.encoder(seen), memory)
 
-    def _heard(self, prepared: Prepared, mask: Tensor | None, stand_in: Tensor | None = None) -> Tensor:
-        """(..., S, N, W) output of the layer, see `decode`."""
-        weight = prepared.attention if mask is None else prepared.attention * mask
-        hidden = weight @ prepared.message + prepared.own
-        if stand_in is not None:
-            hidden = hidden + (prepared.attention - weight) @ stand_in
-        return hidden
-
     def head(self, hidden: Tensor, memory: Tensor) -> tuple[ActionDistribution, Tensor]:
         """(..., W) output of the layer, memory as in `Prepared` -> the actions, what is remembered next."""
         active = self.gat_activation(hidden)
@@ -135,8 +129,11 @@ class GraphPolicy(Policy):
         return action_distribution(self.decoder(decoded), self.architecture.distribution), memory
 
 
-def mlp(widths: tuple[int, ...], activation: str) -> nn.Sequential:
+def mlp(widths: tuple[int, ...], activation: str, n_out: int | None = None) -> nn.Sequential:
+    """Linear layers, each with an activation after it; then, if `n_out` is given, one without."""
     layers: list[nn.Module] = []
-    for n_in, n_out in pairwise(widths):
-        layers += [nn.Linear(n_in, n_out), ACTIVATIONS[activation]()]
+    for n_in, width in pairwise(widths):
+        layers += [nn.Linear(n_in, width), ACTIVATIONS[activation]()]
+    if n_out is not None:
+        layers.append(nn.Linear(widths[-1], n_out))
     return nn.Sequential(*layers)

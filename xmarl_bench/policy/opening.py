@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, failures_named
 from xmarl_bench.policy.interventions import SAME
 from xmarl_bench.policy.messages import Call, followed
 from xmarl_bench.policy.recurrent import call, initial_state, is_recurrent
@@ -108,18 +108,17 @@ class Trial:
         return self._run(self.teams[team], self.edges[team])
 
     def _run(self, x: Tensor, edge_index: Tensor) -> Tensor:
-        try:
-            with torch.no_grad(), followed(self.network, edge_index, len(x)) as self.calls:
-                return call(self.network, x.clone(), edge_index.clone())
-        except InputError:
-            raise
-        except (Exception, SystemExit) as error:
-            method, state = ("step", ", state") if is_recurrent(self.network) else ("forward", "")
-            raise InputError(
-                f"{self.name} failed on {len(x)} agents ({type(error).__name__}: {error}): make its {method} "
-                f"take (x (n, {self.obs_dim}), edge_index (2, edges){state}), of one team of "
-                f"{self.teams.shape[1]} or of many."
-            ) from error
+        method, state = ("step", ", state") if is_recurrent(self.network) else ("forward", "")
+        remedy = (
+            f"make its {method} take (x (n, {self.obs_dim}), edge_index (2, edges){state}), of one team of "
+            f"{self.teams.shape[1]} or of many"
+        )
+        with (
+            failures_named(f"{self.name} failed on {len(x)} agents", remedy),
+            torch.no_grad(),
+            followed(self.network, edge_index, len(x)) as self.calls,
+        ):
+            return call(self.network, x.clone(), edge_index.clone())
 
 
 def _repeats(again: Tensor, first: Tensor) -> bool:

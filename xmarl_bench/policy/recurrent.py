@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeGuard
 import torch
 from torch import Tensor, nn
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, failures_named
 
 State = Tensor | tuple[Tensor, ...]
 
@@ -37,14 +37,9 @@ def initial_state(network: nn.Module, n: int) -> Tensor:
     """(n, H); H is 0 if the network is not recurrent. Raises InputError if its state is invalid."""
     if not is_recurrent(network):
         return torch.zeros(n, 0)
-    try:
-        with torch.no_grad():
-            state = network.initial_state(n)
-    except Exception as error:
-        raise InputError(
-            f"initial_state of {type(network).__name__} failed ({type(error).__name__}: {error}): make it "
-            f"take the number of agents."
-        ) from error
+    what = f"initial_state of {type(network).__name__} failed"
+    with failures_named(what, "make it take the number of agents"), torch.no_grad():
+        state = network.initial_state(n)
     return torch.cat(_parts(network, "initial_state", state, n), dim=1).detach()
 
 
@@ -54,14 +49,8 @@ def run(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
     Raises InputError if the network fails, or does not return a row for each agent.
     """
     name = type(network).__name__
-    try:
+    with failures_named(f"{name} failed on {len(x)} agents", "correct the network"):
         output = call(network, x, edge_index)
-    except InputError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise InputError(
-            f"{name} failed on {len(x)} agents ({type(error).__name__}: {error}): correct the network."
-        ) from error
     if not isinstance(output, Tensor) or output.dim() != 2 or len(output) != len(x):
         got = f"shape {tuple(output.shape)}" if isinstance(output, Tensor) else f"a {type(output).__name__}"
         raise InputError(f"{name} returned {got} for {len(x)} agents: return a row for each agent.")
@@ -77,8 +66,7 @@ def call(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
     widths = [part.shape[1] for part in _parts(network, "initial_state", start, len(x))]
     seen, *state = x.split([x.shape[1] - sum(widths), *widths], dim=1)
     returned = network.step(seen, edge_index, state[0] if isinstance(start, Tensor) else tuple(state))
-    pair = returned if isinstance(returned, tuple) and len(returned) == 2 else (None, None)
-    output, after = pair
+    output, after = returned if isinstance(returned, tuple) and len(returned) == 2 else (None, None)
     if not (isinstance(output, Tensor) and output.dim() == 2 and len(output) == len(x)):
         raise InputError(
             f"step of {type(network).__name__} did not return an output ({len(x)}, width) and the next "

@@ -144,7 +144,7 @@ class Sampled:
                 Stretch(
                     steps,
                     whole.at(steps),
-                    Removal.of(
+                    Removal(
                         policy,
                         observations[steps],
                         absence,

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_baselines.explainers.batching import by_chunks
-from xmarl_bench.explain.explainer import Explainer
-from xmarl_bench.explain.simulator import Simulated, Simulator
+from xmarl_bench.explain.adapters import as_explainer
+from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.policy import Policy
 from xmarl_bench.rollout.episodes import chooser
 
@@ -103,10 +103,10 @@ def agent_shapley_values(
     return by_chunks(observations, explain, steps_at_once=max(1, COPIES_AT_ONCE // len(members)))
 
 
-agent_shapley = Explainer(
-    "agent-shapley",
-    Simulated(agent_shapley_values),
-    "Shapley values of agents for the team's return, absent agents do nothing",
+agent_shapley = as_explainer(
+    agent_shapley_values,
+    name="agent-shapley",
+    summary="Shapley values of agents for the team's return, absent agents do nothing",
     stochastic=True,  # above 6 agents
     slow=True,
     signed=True,

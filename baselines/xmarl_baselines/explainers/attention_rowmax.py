@@ -12,15 +12,14 @@ import torch
 from torch import Tensor
 
 from xmarl_baselines.explainers.attention import attention_mask
+from xmarl_bench.explain.effect import share_of_largest
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy
 
 
 def attention_rowmax_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
     """(S, N, D) -> (S, N, N), the largest entry of every row is 1."""
-    alpha = attention_mask(policy, observations, generator)
-    largest = alpha.amax(dim=-1, keepdim=True)
-    return alpha / torch.where(largest > 0, largest, 1.0)  # a receiver without edges has a row of zeros
+    return share_of_largest(attention_mask(policy, observations, generator))
 
 
 attention_rowmax = Explainer(

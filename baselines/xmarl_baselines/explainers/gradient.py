@@ -20,13 +20,11 @@ from torch import Tensor
 
 from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_baselines.explainers.frozen_policy import frozen
-from xmarl_bench.explain.effect import effect_direction, signed_to_unit
+from xmarl_bench.explain.effect import NORMALISER, effect_direction, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import Policy
-
-NORMALISER = "0.5 + a / (2 max |a|) over the row"
 
 
 def gradient_at(policy: Policy, observations: Tensor, levels: list[float]) -> Tensor:
@@ -34,7 +32,7 @@ def gradient_at(policy: Policy, observations: Tensor, levels: list[float]) -> Te
     n_steps, n_agents, _ = observations.shape
     with torch.no_grad():
         prepared = policy.prepare(observations)
-    direction = effect_direction(policy, prepared, n_steps, n_agents)
+    direction = effect_direction(policy, prepared)
     total = observations.new_zeros(n_steps, n_agents, n_agents)
     for level in levels:
         with torch.enable_grad():

@@ -18,8 +18,8 @@ from torch import Tensor
 
 from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_baselines.explainers.frozen_policy import frozen
-from xmarl_baselines.explainers.gradient import NORMALISER, gradient_at
-from xmarl_bench.explain.effect import signed_to_unit
+from xmarl_baselines.explainers.gradient import gradient_at
+from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.metrics.absence import Absence

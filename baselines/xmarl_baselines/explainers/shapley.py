@@ -29,8 +29,7 @@ from torch import Tensor
 
 from xmarl_baselines.explainers.batching import by_chunks
 from xmarl_baselines.explainers.frozen_policy import frozen
-from xmarl_baselines.explainers.gradient import NORMALISER
-from xmarl_bench.explain.effect import action_change, signed_to_unit
+from xmarl_bench.explain.effect import NORMALISER, action_change, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.messages_only import messages_only
 from xmarl_bench.explain.oracle import change_table, why_not_enumerated

@@ -107,24 +107,25 @@ def command(
     if reproduce in GROUPS:
         raise typer.Exit(train_missing(GROUPS[reproduce](), out, Workers(jobs, backend, address)))
     _refuse(context, OF_MANY, "trains one policy; side by side are those of --reproduce all")
-    if reproduce is not None:
+    if task is None:
+        assert reproduce is not None
         run = run_named(reproduce)
-        _train(run, out, resume=resume, start_from=None, episodes=EPISODES)
-        return
-    assert task is not None
-    Cell(task, agents)  # raises if the task does not take a team of this size
-    recipe = recipe_for(task, family=family)
-    if start_from is not None:
-        _check_start(start_from, task, agents, family)
-        recipe = recipe.fine_tuning()
-    if frames is not None:
-        recipe = replace(recipe, frames=frames)
-    if attention_start is not None:
-        recipe = replace(recipe, attention_start=attention_start)
-    start = None if start_from is None else start_from.resolve().name
-    run = Run(recipe, agents, attention_entropy, seed, caution, start)
-    place = checked_device(device)
-    _train(run, out, resume=resume, start_from=start_from, episodes=episodes, device=place)
+    else:
+        Cell(task, agents)  # raises if the task does not take a team of this size
+        recipe = recipe_for(task, family=family)
+        if start_from is not None:
+            _check_start(start_from, task, agents, family)
+            recipe = recipe.fine_tuning()
+        if frames is not None:
+            recipe = replace(recipe, frames=frames)
+        if attention_start is not None:
+            recipe = replace(recipe, attention_start=attention_start)
+        start = None if start_from is None else start_from.resolve().name
+        run = Run(recipe, agents, attention_entropy, seed, caution, start)
+    place, folder = checked_device(device), out / run.name
+    card = train_and_save(run, folder, resume=resume, start_from=start_from, episodes=episodes, device=place)
+    print_table(performance_rows([card], [Performance(**card.performance)]), keep=("success",))
+    print(f"policy in {folder / 'policy'}: xmarl-bench score --policy {folder / 'policy'}")
 
 
 def _refuse(context: typer.Context, options: tuple[str, ...], why: str) -> None:
@@ -135,15 +136,6 @@ def _refuse(context: typer.Context, options: tuple[str, ...], why: str) -> None:
             given = "task" if context.params["reproduce"] is None else "reproduce"
             name = option.replace("_", "-")
             raise InputError(f"--{given} {context.params[given]} {why}: leave out --{name}.")
-
-
-def _train(
-    run: Run, out: Path, *, resume: bool, start_from: Path | None, episodes: int, device: str = CPU
-) -> None:
-    folder = out / run.name
-    card = train_and_save(run, folder, resume=resume, start_from=start_from, episodes=episodes, device=device)
-    print_table(performance_rows([card], [Performance(**card.performance)]), keep=("success",))
-    print(f"policy in {folder / 'policy'}: xmarl-bench score --policy {folder / 'policy'}")
 
 
 def train_missing(names: Iterable[str], out: Path, workers: Workers) -> int:

@@ -24,7 +24,6 @@ from stable_baselines3.common.utils import explained_variance
 from torch import Tensor
 from torch.nn import functional as F
 
-from xmarl_baselines.training.schedules import ramp
 from xmarl_baselines.training.team_buffer import TeamRolloutBuffer, TeamSamples
 from xmarl_baselines.training.team_policy import TeamPolicy
 
@@ -34,7 +33,16 @@ MAX_LOG_RATIO = 20.0
 AGENTS_AT_ONCE = 3072  # rows per part of a minibatch: the fastest of 384 to 16384 on one core
 
 
-class _TruncationBootstrap(BaseCallback):
+class IterationCallback(BaseCallback):
+    """A callback of MAPPO that acts before or after an iteration's steps."""
+
+    model: MAPPO
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class _TruncationBootstrap(IterationCallback):
     """Adds gamma * V(last observation) to the rewards of truncated teams.
 
     SB3 does this in `collect_rollouts` for one reward per environment (if `terminal_observation` is given).
@@ -46,7 +54,6 @@ class _TruncationBootstrap(BaseCallback):
         which = [k for k, info in enumerate(infos) if info.get("TimeLimit.truncated")]
         if which:
             last = torch.from_numpy(np.stack([infos[k]["truncated_observation"] for k in which]))
-            assert isinstance(self.model, MAPPO)
             with torch.no_grad():
                 values = self.model.policy.predict_values(last.to(self.model.device))
             self.locals["rewards"][which] += self.model.gamma * values.cpu().numpy()
@@ -82,8 +89,12 @@ class MAPPO(PPO):
 
     def attention_weight(self) -> float:
         """lambda at the present moment of training."""
-        done = 1.0 - self._current_progress_remaining
-        return self.attention_entropy * ramp(done, self.attention_start, self.attention_ramp)
+        since = 1.0 - self._current_progress_remaining - self.attention_start
+        if since < 0:
+            return 0.0
+        return self.attention_entropy * (
+            min(1.0, since / self.attention_ramp) if self.attention_ramp else 1.0
+        )
 
     def train(self) -> None:
         self.policy.set_training_mode(True)
@@ -158,11 +169,3 @@ class MAPPO(PPO):
         given = callback if isinstance(callback, list) else [] if callback is None else [callback]
         converted = [c if isinstance(c, BaseCallback) else ConvertCallback(c) for c in given]
         return super()._init_callback([_TruncationBootstrap(), *converted], progress_bar)
-
-    def _update_info_buffer(self, infos: list[dict[str, Any]], dones: Any = None) -> None:
-        for info in infos:
-            if "episode" in info:  # so that SB3's logger gets them together
-                info["episode"].update(
-                    is_success=info["is_success"], no_agent_collision=info["no_agent_collision"]
-                )
-        super()._update_info_buffer(infos, dones)

@@ -15,9 +15,8 @@ import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
-from stable_baselines3.common.callbacks import BaseCallback
 
-from xmarl_baselines.training.mappo import MAPPO
+from xmarl_baselines.training.mappo import MAPPO, IterationCallback
 from xmarl_baselines.training.run_files import damaged, read_run_file
 from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.policy.default_policies import selection_key
@@ -42,7 +41,7 @@ def weights_at(run: Path, record: Record) -> Path:
     return run / "validated" / f"{record['frames']:010d}.safetensors"
 
 
-class ModelSelection(BaseCallback):
+class ModelSelection(IterationCallback):
     """Plays the validation episodes at multiples of `every` frames, and keeps weights and results.
 
     `folder` holds curve.json, one record per validation, and validated/FRAMES.safetensors; both survive an
@@ -50,23 +49,13 @@ class ModelSelection(BaseCallback):
     reached its full weight, if there are later ones.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        cell: Cell,
-        *,
-        every: int,
-        after: float,
-    ) -> None:
+    def __init__(self, folder: Path, cell: Cell, *, every: int, after: float) -> None:
         super().__init__()
         self._folder, self._cell, self._every, self._after = folder, cell, every, after
         self._last = 0
 
     def _on_training_start(self) -> None:
         self._last = self.num_timesteps
-
-    def _on_step(self) -> bool:
-        return True
 
     def _on_rollout_start(self) -> None:
         # Multiples, so that a resumed run validates at the same frames as an uninterrupted one.
@@ -76,7 +65,6 @@ class ModelSelection(BaseCallback):
 
     def validate(self) -> None:
         """Measure the current policy and keep it."""
-        assert isinstance(self.model, MAPPO)
         policy = plain_actor(self.model)
 
         @torch.inference_mode()
@@ -118,7 +106,6 @@ class ModelSelection(BaseCallback):
         return self.policy_at(record), record
 
     def policy_at(self, record: Record) -> GraphPolicy:
-        assert isinstance(self.model, MAPPO)
         policy = plain_actor(self.model)
         weights = weights_at(self._folder, record)
         try:

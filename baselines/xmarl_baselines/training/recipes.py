@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from xmarl_baselines.training.families import Family, architecture
@@ -88,9 +88,6 @@ class Recipe:
             )
         nested = {"shaping": Shaping(**record["shaping"]), "critic": tuple(record["critic"])}
         return cls(**{**record, **nested})
-
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 # Tuned on this physics; paper_schedule.py has the paper's own. Penalties are small from the first frame and

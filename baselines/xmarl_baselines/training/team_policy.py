@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from itertools import pairwise
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import Schedule
-from torch import Tensor, nn
+from torch import Tensor
 from torch.distributions import Normal
 from torch.nn import functional as F
 
 from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
+from xmarl_bench.policy.network import mlp
 
 SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 is too coarse beyond it
 
@@ -63,10 +62,7 @@ class TeamPolicy(ActorCriticPolicy):
         record = json.dumps({**self._architecture, "obs_dim": obs_dim})
         self.actor = GraphPolicy(Architecture.model_validate_json(record))
         widths = (n_agents * obs_dim, *self._critic)
-        layers: list[nn.Module] = []
-        for n_in, n_out in pairwise(widths):
-            layers += [nn.Linear(n_in, n_out), nn.Tanh()]
-        self.critic = nn.Sequential(*layers, nn.Linear(widths[-1], n_agents))
+        self.critic = mlp(widths, "tanh", n_agents)
         self.optimizer = torch.optim.Adam(self.parameters(), lr=lr_schedule(1), eps=1e-5)
 
     def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
@@ -93,15 +89,6 @@ class TeamPolicy(ActorCriticPolicy):
     def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
         action: Tensor = self(observation, deterministic)[0]
         return action
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> Any:
-        """(N, D) or (B, N, D) observations -> actions of the same leading axes, as SB3 does for vectors."""
-        obs = torch.as_tensor(np.asarray(observation, dtype=np.float32), device=self.device)
-        with torch.no_grad():
-            action = self._predict(obs if obs.ndim == 3 else obs[None], deterministic)
-        return (action if obs.ndim == 3 else action[0]).cpu().numpy(), state
 
 
 def mean_attention_entropy(attention: Tensor) -> Tensor:

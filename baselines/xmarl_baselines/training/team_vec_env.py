@@ -6,7 +6,6 @@ agent, so this class itself puts `episode`, `truncated_observation` and `TimeLim
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,8 @@ from xmarl_baselines.training.shaping import Shaping, training_reward
 class TeamVecEnv(OneObjectVecEnv):
     """`n_envs` teams with auto-reset. Copies share pymunk Spaces: fast, and equal up to rounding.
 
-    Every info of an ended episode holds `episode` (r: the task's own return, mean over agents; l: length),
-    `is_success` (fraction of agents at goal) and `no_agent_collision`.
+    Every info of an ended episode holds `episode`: r, the task's own return, mean over agents; l, its length;
+    `is_success`, the fraction of agents at goal, which the info holds, too; `no_agent_collision`.
     """
 
     def __init__(
@@ -44,7 +43,6 @@ class TeamVecEnv(OneObjectVecEnv):
         self._env = VectorEnv(task, n_envs, max_cycles, copies_per_space)
         self._rng = np.random.default_rng(seed)
         self._actions: NDArray[np.float32] = np.zeros((n_envs, task.n_agents, 2), np.float32)
-        self._started = time.time()
         self._return = np.zeros(n_envs)
         self._collided = np.zeros(n_envs, dtype=bool)
 
@@ -71,14 +69,15 @@ class TeamVecEnv(OneObjectVecEnv):
         ended = np.flatnonzero(done)
         observation = step.observation
         for k in ended:
+            success = float(step.success[k].mean())
             infos[k] = {
                 "episode": {
                     "r": float(self._return[k]),
                     "l": int(self._env.cycles[k]),
-                    "t": time.time() - self._started,
+                    "is_success": success,
+                    "no_agent_collision": float(not self._collided[k]),
                 },
-                "is_success": float(step.success[k].mean()),
-                "no_agent_collision": float(not self._collided[k]),
+                "is_success": success,
                 "truncated_observation": step.observation[k],
                 "TimeLimit.truncated": bool(step.truncated[k]),
             }  # fmt: skip

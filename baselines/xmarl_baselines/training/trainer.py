@@ -17,14 +17,13 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from stable_baselines3.common.callbacks import BaseCallback
 from xmarl_envs import make_task
 
-from xmarl_baselines.training.mappo import MAPPO
+from xmarl_baselines.training.mappo import MAPPO, IterationCallback
 from xmarl_baselines.training.model_selection import ModelSelection, Record
 from xmarl_baselines.training.recipes import Recipe
 from xmarl_baselines.training.run_files import damaged, read_run_file
@@ -70,19 +69,9 @@ class Run:
 
     def settings(self) -> dict[str, Any]:
         """As plain JSON, for settings.json and the policy's card."""
-        settings: dict[str, Any] = json.loads(
-            json.dumps(
-                {
-                    "n_agents": self.n_agents,
-                    "attention_entropy": self.attention_entropy,
-                    "seed": self.seed,
-                    "caution": self.caution,
-                    "start_from": self.start_from,
-                    "recipe": self.recipe.as_dict(),
-                }
-            )
-        )
-        return settings
+        record: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        record["recipe"] = record.pop("recipe")  # last in the card
+        return record
 
 
 @dataclass(frozen=True)
@@ -115,12 +104,8 @@ def train(
         run, folder, resume=resume, start_from=start_from, tensorboard=folder / "tensorboard", device=device
     )
     cell = Cell(run.recipe.task, run.n_agents)
-    selection = ModelSelection(
-        folder,
-        cell,
-        every=max(1, run.recipe.frames // VALIDATIONS),
-        after=run.regularised_from,
-    )
+    every = max(1, run.recipe.frames // VALIDATIONS)
+    selection = ModelSelection(folder, cell, every=every, after=run.regularised_from)
     checkpoints = Checkpoints(folder, checkpoint_every, seconds, report)
     if frames < run.recipe.frames:
         model.learn(
@@ -138,14 +123,6 @@ def train(
     return Trained(policy, seconds, validation, selection.curve())
 
 
-class Begun(NamedTuple):
-    """A learner, and what it has behind it."""
-
-    model: MAPPO
-    frames: int
-    seconds: float  # of CPU time
-
-
 def begin(
     run: Run,
     folder: Path,
@@ -154,8 +131,11 @@ def begin(
     start_from: Path | None = None,
     tensorboard: Path | None = None,
     device: str = CPU,
-) -> Begun:
-    """The learner at the last checkpoint in `folder`, or at its beginning. Arguments, errors: as `train`."""
+) -> tuple[MAPPO, int, float]:
+    """The learner at the last checkpoint in `folder`, or at its beginning; frames and CPU seconds so far.
+
+    Arguments and errors are those of `train`.
+    """
     done = _progress(run, folder, resume)
     frames, seconds = done or (0, 0.0)
     model = build(run, seed=run.seed + frames, tensorboard=tensorboard, device=device)
@@ -164,7 +144,7 @@ def begin(
         model.num_timesteps = frames
     elif start_from is not None:
         _restore(model, start_from / "checkpoint.zip")
-    return Begun(model, frames, seconds)
+    return model, frames, seconds
 
 
 def build(run: Run, *, seed: int, tensorboard: Path | None = None, device: str = CPU) -> MAPPO:
@@ -226,23 +206,19 @@ def _restore(model: MAPPO, checkpoint: Path) -> None:
         raise damaged(checkpoint) from error
 
 
-class _Caution(BaseCallback):
+class _Caution(IterationCallback):
     """Multiplies the penalties for touching and for being near, linearly from 1 to `growth` over the run."""
 
     def __init__(self, growth: float) -> None:
         super().__init__()
         self._growth = growth
 
-    def _on_step(self) -> bool:
-        return True
-
     def _on_rollout_start(self) -> None:
-        assert isinstance(self.model, MAPPO)
         done = min(1.0, 1.0 - self.model._current_progress_remaining)
         self.training_env.set_attr("caution", 1.0 + (self._growth - 1.0) * done)
 
 
-class Checkpoints(BaseCallback):
+class Checkpoints(IterationCallback):
     """Saves a checkpoint after every few iterations, and reports progress after each.
 
     seconds: of CPU time before.
@@ -257,9 +233,6 @@ class Checkpoints(BaseCallback):
     @property
     def seconds(self) -> float:
         return self._earlier + time.process_time() - self._started
-
-    def _on_step(self) -> bool:
-        return True
 
     def _on_rollout_start(self) -> None:  # the previous iteration's update is done
         self._iterations += 1

@@ -50,7 +50,7 @@ def test_gradient_equals_finite_differences(residual: bool, categorical: bool) -
     policy = small_policy(6, 1, residual=residual, categorical=categorical).double()
     x = random_observations(3, N, 6).double()
     ours = gradient_at(policy, x, [1.0])
-    direction = effect_direction(policy, policy.prepare(x), 3, N)
+    direction = effect_direction(policy, policy.prepare(x))
     for i, j in ((0, 0), (1, 3), (2, 1)):
         low, high = torch.ones(2, 3, N, N, dtype=torch.double)
         low[:, i, j], high[:, i, j] = 1 - 1e-6, 1 + 1e-6

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import Any
 
 import pytest
@@ -64,7 +65,7 @@ def test_names_of_runs_state_their_settings() -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_a_card_gives_its_recipe_back(task: str) -> None:
     recipe = recipe_for(task)
-    record = json.loads(json.dumps(recipe.as_dict()))
+    record = json.loads(json.dumps(asdict(recipe)))
     assert Recipe.from_dict(record) == recipe
     with pytest.raises(InputError, match=r"unknown fields \(teacher\)"):
         Recipe.from_dict({**record, "teacher": "heuristic"})

@@ -159,7 +159,7 @@ def one_layer_sample(n_agents: int, absence: Absence, n_steps: int = 6) -> tuple
     with torch.no_grad():
         messages = policy.prepare(reference).message
         replaced = tuple(stand_ins(absence, messages, (DRAWS, n_steps), np.random.default_rng(0)))
-        removal = Removal.of(policy, observations, absence, replaced)
+        removal = Removal(policy, observations, absence, replaced)
         edges = Edges.of(np.ones((n_steps, n_agents, n_agents), dtype=bool), own_kept=True)
         orders = random_orders(n_steps, n_agents, np.random.default_rng(1))
         places = ranks(np.zeros(orders.shape[1:]), orders, edges.senders)
@@ -191,7 +191,7 @@ def test_sampled_against_enumerated(n_agents: int, absence: Absence) -> None:
 def test_the_stated_error_is_the_spread_over_seeds() -> None:
     policy, observations = small_policy(5, 3), random_observations(4, 6, 5, 1)
     edges = Edges.of(np.ones((4, 6, 6), dtype=bool), own_kept=True)
-    removal = Removal.of(policy, observations, Absence.ZERO, (None,))
+    removal = Removal(policy, observations, Absence.ZERO, (None,))
     for row_wise in (True, False):
         estimates, errors = [], []
         for seed in range(60):
@@ -296,7 +296,7 @@ def test_the_best_mask_beats_all_ones_and_what_was_drawn() -> None:
 def test_sweeps_climb_from_any_mask_to_one_that_no_swap_of_a_row_improves() -> None:
     policy, observations = two_layers(3), random_observations(5, 4, 6, 2)
     edges = Edges.of(np.ones((5, 4, 4), dtype=bool), own_kept=True)
-    removal = Removal.of(policy, observations, Absence.ZERO, (None,))
+    removal = Removal(policy, observations, Absence.ZERO, (None,))
     best = Best.none(edges, row_wise=False)
     orders = random_orders(5, 4, np.random.default_rng(0))
     kept = kept_by(ranks(np.zeros((5, 4, 4)), orders, edges.senders)[0], edges)

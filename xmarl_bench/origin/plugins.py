@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, failures_named
 from xmarl_bench.origin.references import Origin
 
 
@@ -28,19 +29,15 @@ def plugins_by_name(
 
 def load_plugin(plugin: EntryPoint) -> Any:
     """What the entry point names. Runs its module. Raises InputError if it does not load."""
-    try:
+    with plugin_failures(plugin):
         return plugin.load()
-    except (Exception, SystemExit) as error:
-        raise plugin_error(plugin, error) from error
 
 
-def plugin_error(plugin: EntryPoint, error: BaseException) -> InputError:
-    """The error of an entry point that does not load."""
+def plugin_failures(plugin: EntryPoint) -> AbstractContextManager[None]:
+    """While code of a plugin runs: raises InputError, naming the plugin, for what it raises."""
     name = None if plugin.dist is None else plugin.dist.name
-    return InputError(
-        f"plugin {plugin.name!r} ({plugin.value}, of {name or 'an unknown distribution'}) failed to load "
-        f"({type(error).__name__}: {error}): correct or uninstall it."
-    )
+    where = f"{plugin.value}, of {name or 'an unknown distribution'}"
+    return failures_named(f"plugin {plugin.name!r} ({where}) failed to load", "correct or uninstall it")
 
 
 def origin_of_plugin(plugin: EntryPoint, where: str | None = None) -> Origin:

@@ -11,7 +11,7 @@ import sys
 import textwrap
 import tokenize
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import Any
 
 from cloudpickle import register_pickle_by_value
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, failures_named
 from xmarl_bench.origin.installed import distribution_of, is_own, package_version, places_of
 
 
@@ -91,7 +91,11 @@ def load_reference(reference: str) -> tuple[Any, Origin]:
     place, _, name = reference.rpartition(":")
     file = Path(place) if is_file(place) else None
     origin = None if file is None else origin_of_file(file, name)  # before its code runs
-    module = _import_module(place, reference) if file is None else _import_file(file, reference)
+    if file is not None:
+        module = _import_file(file, reference)
+    else:
+        with _loading(reference):
+            module = importlib.import_module(place)
     found: Any = module
     for part in name.split("."):
         if not hasattr(found, part):
@@ -164,11 +168,11 @@ def _import_file(path: Path, reference: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look up their module there
     try:
-        with _neighbours(path.parent.resolve()):
+        with _loading(reference), _neighbours(path.parent.resolve()):
             spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
+    except InputError:
         del sys.modules[name]
-        raise _failed(reference, error) from error
+        raise
     register_pickle_by_value(module)
     return module
 
@@ -190,18 +194,9 @@ def _neighbours(folder: Path) -> Iterator[None]:
             del sys.modules[name]
 
 
-def _import_module(name: str, reference: str) -> ModuleType:
-    try:
-        return importlib.import_module(name)
-    except (Exception, SystemExit) as error:
-        raise _failed(reference, error) from error
-
-
-def _failed(reference: str, error: BaseException) -> InputError:
-    return InputError(
-        f"{reference} failed to load ({type(error).__name__}: {error}): correct it, or give another "
-        f"path/to/file.py:Name or module:Name."
-    )
+def _loading(reference: str) -> AbstractContextManager[None]:
+    remedy = "correct it, or give another path/to/file.py:Name or module:Name"
+    return failures_named(f"{reference} failed to load", remedy)
 
 
 def _of_file(module: ModuleType) -> str | None:

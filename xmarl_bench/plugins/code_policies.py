@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from safetensors.torch import save
 from torch import nn
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, failures_named
 from xmarl_bench.origin.plugins import origin_of_plugin
 from xmarl_bench.origin.references import Origin, load_reference
 from xmarl_bench.plugins.names import places_of_plugin
@@ -100,14 +100,8 @@ def _made(factory: object, name: str) -> PolicyModule:
         raise InputError(
             f"policy {name!r} is a {type(factory).__name__}: give a function that returns a PolicyModule."
         )
-    try:
+    with failures_named(f"policy {name!r} could not be made", "correct its factory"):
         made = factory()
-    except InputError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise InputError(
-            f"policy {name!r} could not be made ({type(error).__name__}: {error}): correct its factory."
-        ) from error
     if not isinstance(made, PolicyModule):
         raise InputError(
             f"policy {name!r} is a {type(made).__name__}: make its factory return a PolicyModule."

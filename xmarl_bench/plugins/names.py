@@ -18,7 +18,7 @@ from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.explain.control_names import SUMMARIES as CONTROL_NAMES
 from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.isolation.process import Stranger
-from xmarl_bench.origin.plugins import load_plugin, plugin_error, plugins_by_name
+from xmarl_bench.origin.plugins import load_plugin, plugin_failures, plugins_by_name
 from xmarl_bench.origin.references import check_named, is_reference
 from xmarl_bench.policy.untrusted import CARD
 
@@ -169,7 +169,5 @@ def _places_elsewhere(plugin: EntryPoint) -> dict[str, Place]:
 def places_of_plugin(plugin: EntryPoint) -> dict[str, Path | Callable[[], object]]:
     """Folders of bundles and factories of policies, by name. Runs the plugin. Raises InputError."""
     listed = load_plugin(plugin)
-    try:
+    with plugin_failures(plugin):
         return {str(name): place if callable(place) else Path(place) for name, place in listed().items()}
-    except (Exception, SystemExit) as error:
-        raise plugin_error(plugin, error) from error

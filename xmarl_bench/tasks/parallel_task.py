@@ -11,7 +11,7 @@ Collisions are what infos say at any step. What infos do not say is not measured
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
@@ -20,7 +20,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 from xmarl_envs import Step
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, failures_named
 
 SUCCESS_KEYS: Final = ("at_goal", "found", "is_success")
 AGENT_COLLISION, OBJECT_COLLISION = "agent_collision", "object_collision"
@@ -175,17 +175,9 @@ class ParallelEpisodes:
                 env.close()
 
 
-@contextmanager
-def foreign_code(task: str, call: str) -> Any:
-    """Raise InputError, with the task's name, for anything that goes wrong in an environment."""
-    try:
-        yield
-    except InputError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise InputError(
-            f"task {task!r} failed in {call} ({type(error).__name__}: {error}): correct its environment."
-        ) from error
+def foreign_code(task: str, call: str) -> AbstractContextManager[None]:
+    """Raises InputError, with the task's name, for anything that goes wrong in an environment."""
+    return failures_named(f"task {task!r} failed in {call}", "correct its environment")
 
 
 def _told(infos: Mapping[str, Any], agents: Sequence[str], keys: Sequence[str]) -> list[float]:

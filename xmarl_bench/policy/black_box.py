@@ -39,7 +39,7 @@ class BlackBox(Policy):
         """(S, N, D) -> a function that answers for these observations."""
         policy = self._policy()
         prepared = policy.prepare(observation)
-        return lambda mask: policy.decode(prepared, mask)
+        return torch.no_grad()(lambda mask: policy.decode(prepared, mask))
 
     @torch.no_grad()
     def decode(self, prepared: Answer, mask: Tensor | None = None) -> ActionDistribution:

@@ -204,6 +204,7 @@ def test_a_black_box_has_no_parameters_layers_or_gradients() -> None:
         edges = torch.tensor([[0, 1, 2, 1], [0, 1, 2, 0]])
         assert torch.equal(policy(observations[0], edges), POLICY(observations[0], edges))
         assert not answered.loc.requires_grad
+        assert not policy.prepare(observations)(kept).loc.requires_grad
         assert not list(policy.parameters())
         assert not list(policy.children())
         return torch.ones(len(observations), 3, 3)

@@ -31,7 +31,13 @@ class OneObjectVecEnv(VecEnv):
     """A VecEnv whose entries are rows of one object's arrays and share its attributes and methods."""
 
     render_mode: str | None = None  # SB3 warns if it is missing
-    _team_sizes: list[int]  # agents of each team (or copy), whose entries come one after another
+
+    def __init__(
+        self, team_sizes: Sequence[int], observation_space: spaces.Space[Any], action_space: spaces.Space[Any]
+    ) -> None:
+        """team_sizes: how many entries each team (or copy) has. They come one after another."""
+        super().__init__(sum(team_sizes), observation_space, action_space)
+        self._team_sizes = team_sizes
 
     def step_async(self, actions: NDArray[Any]) -> None:
         self._actions = actions
@@ -96,11 +102,10 @@ class AgentVecEnv(OneObjectVecEnv):
         self._env = VectorEnv(task, n_episodes, max_cycles, copies_per_space)
         self._episode_seeds = [EpisodeSeeds() for _ in range(n_episodes)]
         super().__init__(
-            n_episodes * task.n_agents,
+            [task.n_agents] * n_episodes,
             spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32),
             action_space(task),
         )
-        self._team_sizes = [task.n_agents] * n_episodes
         if seed is not None:
             self.seed(seed)
 
@@ -171,8 +176,7 @@ class SuperSuitVecEnv(OneObjectVecEnv):
             )
         self.venv = venv
         self.render_mode = venv.render_mode
-        super().__init__(venv.num_envs, venv.observation_space, venv.action_space)
-        self._team_sizes = [copy.num_envs for copy in copies]
+        super().__init__([copy.num_envs for copy in copies], venv.observation_space, venv.action_space)
 
     def reset(self) -> NDArray[np.float32]:
         observation, infos = self.venv.reset(seed=self._seeds[0])

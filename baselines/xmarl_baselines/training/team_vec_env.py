@@ -36,7 +36,7 @@ class TeamVecEnv(OneObjectVecEnv):
     ) -> None:
         observation_space = spaces.Box(-np.inf, np.inf, (task.n_agents, task.obs_dim), np.float32)
         action_space = spaces.Box(-1.0, 1.0, (task.n_agents, 2), np.float32)
-        super().__init__(n_envs, observation_space, action_space)
+        super().__init__([1] * n_envs, observation_space, action_space)
         self.task = task
         self.shaping = shaping or Shaping()
         self.caution = 1.0  # multiplies the penalties for touching and for being near

@@ -84,6 +84,8 @@ def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
     first, second = (json.loads((out / "results.json").read_bytes()) for out in (scored, judged))
     assert (first.pop("existing"), second.pop("existing")) == (False, True)
     assert first == second
+    none = run(run_cli, "main", folders, tmp_path / "none", "--no-figures", "--entries", tmp_path / "nowhere")
+    assert_refused(none, "nowhere is of this study: score there first")
     (entry,) = (board / "entries").glob("p0.2.attention.*.json")
     entry.unlink()
     ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)

@@ -17,22 +17,27 @@ Key = tuple[object, ...]
 def existing_entries(requests: Sequence[Request], folder: Path) -> list[Entry | Failed]:
     """For each request, the entry of its policy, explainer, cells and states; Failed if there is none.
 
-    folder: of entries, or one that `score` wrote. Raises InputError if two entries answer one request.
+    folder: of entries, or one that `score` wrote. Raises InputError if two entries answer one request, or if
+    none answers any.
     """
     known: dict[Key, tuple[Path, Entry]] = {}
-    wanted = {_key_of_request(request) for request in requests}
+    keys = [_key_of_request(request) for request in requests]
+    wanted = set(keys)
     for path, entry in read_entries(folder_of_entries(folder)):
         key = _key_of_entry(entry)
-        if key in wanted and key in known:
+        if key not in wanted:
+            continue
+        if key in known:
             raise InputError(
                 f"{known[key][0]} and {path} have the same policy, explainer and states: remove one of them."
             )
         known[key] = path, entry
+    if not known:
+        raise InputError(f"no entry in {folder} is of this study: score there first, or leave --entries out.")
     missing = f"has no entry with these states in {folder}: score it there first, or leave --entries out."
-    found = [known.get(_key_of_request(request)) for request in requests]
     return [
-        Failed(request, missing) if each is None else each[1]
-        for request, each in zip(requests, found, strict=True)
+        known[key][1] if key in known else Failed(request, missing)
+        for request, key in zip(requests, keys, strict=True)
     ]
 
 

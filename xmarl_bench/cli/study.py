@@ -81,6 +81,7 @@ def study(
 
     from xmarl_bench.cli import tables
     from xmarl_bench.counted import counted
+    from xmarl_bench.errors import InputError
     from xmarl_bench.papers.kailas2025.existing import existing_entries
     from xmarl_bench.papers.kailas2025.figures import check_matplotlib
     from xmarl_bench.papers.kailas2025.output import write_study
@@ -127,6 +128,10 @@ def study(
             for request, outcome in zip(requests, outcomes, strict=True)
             if not isinstance(outcome, Failed)
         ]
+        failed: list[Failed | InputError] = [*not_loaded]
+        failed += [each for each in outcomes if isinstance(each, Failed)]
+        if not pairs:
+            tables.exit_for_failures(failed, len(not_loaded) + len(requests))
         names = tuple(explainer.name for explainer in explainers)
         data = StudyData(chosen, names, pairs, Samples.of(pairs), existing=entries is not None)
         results = write_study(folder, data, figures=figures)
@@ -136,5 +141,4 @@ def study(
         print(f"missing: {absent}")
     print(f"{counted(len(verdicts), 'statement')} of the paper: {by_verdict}.")
     print(f"{counted(len(pairs), 'entry')}; results.json, tables/, figures/ and tables.html in {folder}.")
-    failed = [each for each in outcomes if isinstance(each, Failed)]
-    tables.exit_for_failures([*not_loaded, *failed], len(not_loaded) + len(requests))
+    tables.exit_for_failures(failed, len(not_loaded) + len(requests))

@@ -70,6 +70,17 @@ def test_the_main_study_writes_results(run_cli: RunCli, tmp_path: Path) -> None:
     assert (out / "results.json").read_bytes() == before
 
 
+def test_a_study_of_which_everything_fails_names_the_first_failure(
+    run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = tmp_path / "own.py"
+    own.write_text("def broken(policy, observations, generator):\n    raise RuntimeError('by design')\n")
+    monkeypatch.setattr(plan, "EXPLAINERS", (f"{own}:broken",))
+    folders = [bundle(tmp_path, "p", attention_entropy=0.0)]
+    ran = run(run_cli, "main", folders, tmp_path / "study", "--no-figures")
+    assert_refused(ran, "by design")
+
+
 def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
     run_cli: RunCli, tmp_path: Path
 ) -> None:

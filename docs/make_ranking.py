@@ -28,12 +28,17 @@ CONTROLS = {
 
 
 def answer(board: dict[str, Any]) -> str:
-    """Who leads, how surely, who is no better than a control, and what the mask of ones and the term do."""
+    """Points: who leads, how surely; who does not beat a control; what the mask of ones and the term do."""
     scores = Scores.of(board)
     gain = regulariser_of(families_of(scores.tables)).get("attention")
-    rows = scores.ranking["rows"]
-    text = " ".join([*answer_of(scores.ranking), gamed_by(rows), answer_on_term("attention", gain)])
-    return "\n".join(textwrap.wrap(text, 118, break_on_hyphens=False)) + "\n"
+    said = answer_of(scores.ranking)
+    points = [" ".join(said[:2]), " ".join(said[2:])]
+    points += [gamed_by(scores.ranking["rows"]), answer_on_term("attention", gain)]
+    return "".join(f"{_point(each)}\n" for each in points if each)
+
+
+def _point(text: str) -> str:
+    return textwrap.fill(text, 118, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False)
 
 
 def section(ranking: dict[str, Any]) -> str:

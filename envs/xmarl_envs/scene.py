@@ -63,7 +63,7 @@ class Track:
         return len(self._positions) - 1
 
     def add(self, state: State, step: Step, backdrop: Picture | None = None) -> None:
-        """Record the step just taken and the state after it. NaN is no collision."""
+        """Record the step just taken and the state after it. NaN counts as no collision."""
         k = self._episode
         self._positions.append(state.position[k].copy())
         self._rewards.append(float(step.reward[k].mean()))

@@ -231,7 +231,7 @@ def budget_chart(table: Json, policy: Json, details: Mapping[str, Details], kind
     return {
         "x": x,
         "y": y,
-        "lines": lines if most > 1 else [],  # one budget is no curve: its numbers are shown
+        "lines": lines if most > 1 else [],  # one budget does not make a curve: its numbers are shown
         "x_title": "edges kept in each row, k",
         "y_title": f"{title_of(GAMED)}@k",
         "label": f"{policy['name']}: {title_of(GAMED)} against the budget, {edges}",

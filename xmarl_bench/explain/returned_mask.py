@@ -16,7 +16,7 @@ FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 
 def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor:
-    """The mask as a detached float32 tensor (S, N, N). Raises InputError if it is no such mask."""
+    """The mask as a detached float32 tensor (S, N, N). Raises InputError if it is not such a mask."""
     numbers = finite(name, as_floats(name, mask, (n_steps, n_agents, n_agents)))
     low, high = float(numbers.min()), float(numbers.max())
     if low < 0.0 or high > 1.0:
@@ -59,7 +59,8 @@ def _plain(name: str, mask: Tensor) -> Tensor:
         if type(plain) is Tensor:
             return plain
     raise InputError(
-        f"explainer {name!r} returned a {type(mask).__name__} that is no plain tensor: return a torch.Tensor."
+        f"explainer {name!r} returned a {type(mask).__name__}, which is not a plain tensor: return a "
+        f"torch.Tensor."
     )
 
 

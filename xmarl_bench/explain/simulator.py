@@ -42,7 +42,8 @@ class Simulator:
         """
         if self.task not in TASKS:
             raise InputError(
-                f"{self.task} cannot be restarted, it is no task of xmarl_envs: choose another explainer."
+                f"{self.task} is not a task of xmarl_envs, so it cannot be restarted: choose another "
+                f"explainer."
             )
         task = make_task(self.task, self.n_agents).with_actions(policy.continuous_actions)
         missing = [name for name in STATE_NAMES if name not in task.observation_names]

@@ -79,7 +79,7 @@ def open_elsewhere(
         if brought.name != card.task:
             raise InputError(f"{source.name} brings another task than that of its card: correct it.")
     if not isinstance(architecture, CodeArchitecture):
-        raise InputError(f"{source.name} says that it is no code: correct it.")
+        raise InputError(f"{source.name} says that it is not code: correct it.")
     if origin is not None:
         known = {
             "package": origin.distribution,

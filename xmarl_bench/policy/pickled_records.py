@@ -84,7 +84,7 @@ def _step(name: str, argument: Any, stack: list[Any], marks: list[int], memo: li
     elif name == "BUILD":
         fields = stack.pop()
         if not isinstance(fields, dict):
-            raise ValueError("not a pickle of plain records (a state that is no dict)")
+            raise ValueError("not a pickle of plain records (a state that is not a dict)")
         stack[-1].fields.update(fields)
     else:
         raise ValueError(f"not a pickle of plain records (instruction {name})")

@@ -8,7 +8,7 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r")
 def csv_cell(value: object) -> object:
     """The value; of a text, with control characters escaped and an apostrophe before what begins a formula.
 
-    Numbers stay numbers: a negative one is no formula.
+    Numbers stay numbers: a negative one is not a formula.
     """
     if not isinstance(value, str):
         return value

@@ -39,7 +39,7 @@ REFUSED: dict[str, tuple[Callable[[Tensor], Tensor], str]] = {
     "sparse rows": (Tensor.to_sparse_csr, "a sparse tensor"),
     "meta": (lambda mask: mask.to("meta"), "a meta tensor"),
     "nested": (lambda mask: torch.nested.nested_tensor(list(mask)), "a nested tensor"),
-    "jagged": (jagged, "a NestedTensor that is no plain tensor"),
+    "jagged": (jagged, "a NestedTensor, which is not a plain tensor"),
     "quantised": (lambda mask: torch.quantize_per_tensor(mask, 0.1, 0, torch.quint8), "a quantised tensor"),
     "float8 e4m3": (lambda mask: mask.to(torch.float8_e4m3fn), "torch.float8_e4m3fn"),
     "float8 e5m2": (lambda mask: mask.to(torch.float8_e5m2), "torch.float8_e5m2"),

@@ -33,13 +33,16 @@ COLUMNS = {
     "no_agent_collision": "no agent collision",
     "success_without_messages": "success without messages",
 }
+NEAREST, LEAD = "nearest", "lead over nearest"  # message fidelity of the control, and of attention above it
 Runs = dict[float, dict[int, dict[str, Any]]]  # lambda -> seed -> record
 
 
 def runs_of(records: Sequence[dict[str, Any]]) -> Runs:
     runs: Runs = {}
     for record in sorted(records, key=lambda each: (each["lambda"], each["seed"])):
-        runs.setdefault(record["lambda"], {})[record["seed"]] = record
+        nearest = record["controls"][NEAREST]["message_fidelity"]
+        derived = {NEAREST: nearest, LEAD: record["message_fidelity"] - nearest}
+        runs.setdefault(record["lambda"], {})[record["seed"]] = {**record, **derived}
     return runs
 
 
@@ -87,7 +90,23 @@ def answer(runs: Runs) -> str:
         f"against {mean(runs[0.0], 'message_fidelity'):.2f} without the term. "
         f"Tau of lambda and success is {shown_tau(trend(runs, 'success'))}, "
         f"of lambda and the episodes without agents touching "
-        f"{shown_tau(trend(runs, 'no_agent_collision'))}."
+        f"{shown_tau(trend(runs, 'no_agent_collision'))}. {beside_nearest(runs)}"
+    )
+
+
+def beside_nearest(runs: Runs) -> str:
+    """Whether the control that never looks at a policy changes as attention does."""
+    most = max(runs)
+    near, lead = (against_none(runs, most, metric) for metric in (NEAREST, LEAD))
+    said = (
+        f"At lambda {most:g} the control `nearest`, which never looks at a policy, changes by {near}, and "
+        f"the lead of attention over it by {lead}."
+    )
+    if near.holds_zero or not lead.holds_zero:
+        return said
+    return (
+        f"{said} So it is not shown that attention gains more than this control does: with the term, the "
+        f"messages of near agents matter more in this cell."
     )
 
 
@@ -104,7 +123,7 @@ def rows(runs: Runs) -> list[list[str]]:
             cells.append(f"{mean(of_seeds, metric):.2f}")
             if weight > 0.0:
                 cells[-1] += f" ({against_none(runs, weight, metric)})"
-        for control in ("initial-attention", "nearest"):
+        for control in ("initial-attention", NEAREST):
             values = [each["controls"][control]["message_fidelity"] for each in of_seeds.values()]
             cells.append(f"{np.mean(values):.2f}")
         lines.append(cells)

@@ -68,7 +68,24 @@ def test_the_answer_follows_the_numbers(
     text = script["answer"](script["runs_of"](records(fidelity)))
     assert said in text
     assert "Tau of lambda and success is -1.00 in each seed," in text
-    assert text.endswith("agents touching undefined.")  # it is constant
+    assert "agents touching undefined. At lambda 0.3 " in text  # it is constant
+
+
+@pytest.mark.parametrize(
+    ("nearest", "said"),
+    [
+        ((0.3, 0.3, 0.3), "changes by +0.00 [+0.00, +0.00], and the lead of attention over it by +0.30 "),
+        ((0.3, 0.5, 0.6), "So it is not shown that attention gains more than this control does"),
+    ],
+)
+def test_attention_is_judged_beside_the_nearest_agent(
+    nearest: tuple[float, ...], said: str, script: dict[str, Any]
+) -> None:
+    made = records({0: (0.5, 0.6, 0.75), 1: (0.5, 0.7, 0.85)})
+    for k, record in enumerate(made):
+        value = nearest[k % len(DOSES)]
+        record["controls"] = {**record["controls"], "nearest": {"message_fidelity": value}}
+    assert said in script["answer"](script["runs_of"](made))
 
 
 def test_a_difference_is_told_where_its_interval_excludes_0(script: dict[str, Any]) -> None:

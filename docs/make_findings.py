@@ -24,8 +24,10 @@ from matplotlib.axes import Axes
 from scipy.stats import spearmanr
 from xmarl_envs import TASKS
 
-from xmarl_bench.board.answer import answer_of, answer_on_term, difference, effect_of
-from xmarl_bench.board.regulariser import compared, families_of, kind_of, score_of, values_of
+from xmarl_bench.board.answer import answer_on_term, difference, effect_of
+from xmarl_bench.board.ranking import DIGITS
+from xmarl_bench.board.regulariser import compared, families_of, kind_of, score_of, task_metric_of, values_of
+from xmarl_bench.board.robustness import answer_by, others_with_term, with_gated_pairs
 from xmarl_bench.board.scores import Scores
 from xmarl_bench.counted import counted
 from xmarl_bench.metrics.absence import Absence
@@ -51,11 +53,6 @@ def more(difference: Difference, up: str, down: str, open_: str) -> str:
 def of(scores: Scores, a: str, b: str) -> str:
     """Message fidelity of a less that of b, with its interval."""
     return str(scores.difference(ORDER, a, b))
-
-
-def task_metric(policy: dict[str, Any], metric: str) -> float | None:
-    summary = policy["metrics"].get(metric)
-    return None if summary is None else summary["value"]
 
 
 def dots(axis: Axes, scores: Scores, names: Sequence[str]) -> None:
@@ -87,7 +84,7 @@ class Finding:
 
 def who_leads(scores: Scores) -> Finding:
     best, *others = scores.tied
-    text = " ".join(answer_of(scores.ranking))
+    text = " ".join(answer_by(scores))
 
     def draw(axis: Axes) -> None:
         dots(axis, scores, [*CONTROLS, *reversed(scores.explainers)])
@@ -103,8 +100,8 @@ def fid_delta_misleads(scores: Scores) -> Finding:
     text = (
         f"The mask of ones says that everybody influences everybody. Its FidDelta is "
         f"{scores.mean('fid_delta', 'all-ones'):.2f}, that of {best} {scores.mean('fid_delta', best):.2f}: "
-        f"{lead} for the mask that explains nothing. FidDelta rewards a mask for what it keeps, "
-        f"whatever it knows. In message fidelity the mask of ones has {scores.mean(ORDER, 'all-ones'):.2f}."
+        f"{lead} for the mask that explains nothing. FidDelta also rewards a mask for how much "
+        f"it keeps. In message fidelity the mask of ones has {scores.mean(ORDER, 'all-ones'):.2f}."
     )
 
     def draw(axis: Axes) -> None:
@@ -118,7 +115,7 @@ def fid_delta_misleads(scores: Scores) -> Finding:
         axis.set_ylabel("message fidelity")
 
     title = more(
-        lead, "A high FidDelta proves nothing", *2 * ["FidDelta tells the best from the mask of ones"]
+        lead, "A high FidDelta alone proves nothing", *2 * ["FidDelta tells the best from the mask of ones"]
     )
     return Finding("fid-delta", title, text, draw, "FidDelta against message fidelity")
 
@@ -128,16 +125,23 @@ def absence_decides(scores: Scores) -> Finding:
         metric: max(scores.explainers, key=lambda name, metric=metric: scores.mean(metric, name))  # type: ignore[misc]
         for metric in UNDER_ABSENCES
     }
+    best = scores.explainers[0]
+    above = {metric: scores.difference(metric, name, best) for metric, name in first.items() if name != best}
     said = ", ".join(
-        f"{name} under `{MODEL_OF[metric]}` ({scores.mean(metric, name):.2f})"
+        f"{name} under `{MODEL_OF[metric]}` ({scores.mean(metric, name):.2f}"
+        + (f"; {above[metric]} above {best})" if metric in above else ")")
         for metric, name in first.items()
     )
-    three = scores.only(lambda policy: policy["n_agents"] == 3)
+    three, to_four = (scores.only(lambda policy, n=n: policy["n_agents"] <= n) for n in (3, 4))  # type: ignore[misc]
     zero, mean = (three.mean(metric, "occlusion") for metric in UNDER_ABSENCES[:2])
+    shapley = to_four.mean(UNDER_ABSENCES[0], "shapley-messages")
     text = (
         f"Something has to stand in for a message that is removed. First is {said}. With three agents the "
         f"score under `zero` is occlusion's own definition: it has {zero:.2f} there by construction, and "
-        f"{mean:.2f} under `mean`. So the leaderboard averages over all four, and shows the smallest."
+        f"{mean:.2f} under `mean`. The same holds of shapley-messages with up to four agents, "
+        f"{shapley:.2f} under `zero`, and with three agents it ranks messages exactly as occlusion does. "
+        f"`influence` removes messages by `resample`. So the leaderboard averages over all four, and shows "
+        f"the smallest; an average of four is a choice too."
     )
 
     def draw(axis: Axes) -> None:
@@ -150,21 +154,29 @@ def absence_decides(scores: Scores) -> Finding:
         axis.set_ylabel("budgeted fidelity")
         legend_above(axis, 4)
 
-    several = "What stands in for a missing message decides who is first"
-    title = several if len(set(first.values())) > 1 else f"{said} is first under all absence models"
+    title = f"{best} is first under all absence models"
+    if above:
+        sure = any(not each.holds_zero for each in above.values())
+        title = f"What stands in for a missing message {'decides' if sure else 'may decide'} who is first"
     return Finding("absence", title, text, draw, "Budgeted fidelity under four absence models")
 
 
 def attention_is_learnt(scores: Scores) -> Finding:
     controls = "initial-attention", "nearest"
     before, near = (scores.difference(ORDER, "attention", each) for each in controls)
+    parts = {
+        task.split("_")[1]: scores.only(lambda policy, task=task: policy["task"] == task)  # type: ignore[misc]
+        for task in sorted({policy["task"] for policy in scores.policies})
+    }
+    by_task = ", ".join(f"{of(part, 'attention', controls[1])} in {task}" for task, part in parts.items())
     learnt = more(before, "was learnt", "is worse after training", "may come from its initialisation")
     beyond = more(near, "is more than", "is less than", "may be no more than")
     text = (
         f"Attention has {scores.mean(ORDER, 'attention'):.2f}. The attention of the same network before its "
         f"training has {scores.mean(ORDER, controls[0]):.2f}: {before} for the trained one. The "
         f"nearest agent, which never looks at the policy, has {scores.mean(ORDER, controls[1]):.2f}: "
-        f"{near}. So what attention says {learnt}, and {beyond} who stands near whom."
+        f"{near}. So what attention says {learnt}, and {beyond} who stands near whom. By task, attention "
+        f"less the nearest agent is {by_task}."
     )
 
     def draw(axis: Axes) -> None:
@@ -184,16 +196,20 @@ def attention_is_learnt(scores: Scores) -> Finding:
 
 
 def defaults_fail(scores: Scores) -> Finding:
-    chance = scores.difference(ORDER, "gnn_explainer", "random")
+    best, chance = scores.explainers[0], scores.difference(ORDER, "gnn_explainer", "random")
+    gap = scores.difference(ORDER, "gnn_explainer-tuned", best)
+    part = more(gap, "all", "a part", "maybe all")
     compared = more(
         chance, "better than a random mask", "worse than a random mask", "no better than a random mask"
     )
     text = (
         f"GNNExplainer with torch_geometric's defaults has {scores.mean(ORDER, 'gnn_explainer'):.2f} and is "
         f"{compared}: {chance}. Settings that fit policies add "
-        f"{of(scores, 'gnn_explainer-tuned', 'gnn_explainer')}. So the fault is that of defaults made for "
-        f"other graphs, not of the method. GraphMask asked about messages alone, an agent always hearing "
-        f"itself, changes by {of(scores, 'graphmask-messages', 'graphmask')}."
+        f"{of(scores, 'gnn_explainer-tuned', 'gnn_explainer')}; with them it differs from {best} by {gap}. "
+        f"So defaults made for other graphs are {part} of the fault. The settings were chosen on policies "
+        f"that no score plays. Defaults less the nearest agent: {of(scores, 'gnn_explainer', 'nearest')}. "
+        f"GraphMask asked about messages alone, an agent always hearing itself, changes by "
+        f"{of(scores, 'graphmask-messages', 'graphmask')}."
     )
 
     def draw(axis: Axes) -> None:
@@ -208,13 +224,17 @@ def regulariser(scores: Scores) -> Finding:
     families = families_of(scores.tables)
     attention = partial(score_of, explainer="attention")
     gain = compared(families, attention)
-    text = answer_on_term("attention", gain)
+    said = [answer_on_term("attention", gain), others_with_term(families, "attention", scores.explainers[0])]
     entropy, success = (
-        compared(families, partial(task_metric, metric=metric))
+        compared(families, partial(task_metric_of, metric=metric))
         for metric in ("attention_entropy", "success_rate")
     )
     if entropy is not None and success is not None:
-        text += f" Attention entropy changes by {difference(entropy)} nats, success by {difference(success)}."
+        said.append(
+            f"Attention entropy changes by {difference(entropy)} nats, success by {difference(success)}."
+        )
+    said.append(with_gated_pairs(scores.tables, "attention"))
+    text = " ".join(each for each in said if each)
 
     def draw(axis: Axes) -> None:
         styles = dict(zip(sorted(TASKS), zip("o^s", (BLUE, ORANGE, GREEN), strict=True), strict=True))
@@ -234,6 +254,12 @@ def regulariser(scores: Scores) -> Finding:
 FINDINGS = who_leads, fid_delta_misleads, absence_decides, attention_is_learnt, defaults_fail, regulariser
 
 
+def firsts(of: dict[str, float]) -> str:
+    """The explainers of the largest value, equal ones together, with their verb."""
+    names = [f"`{name}`" for name, value in of.items() if round(max(of.values()) - value, DIGITS) == 0.0]
+    return f"{names[0]} is" if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} are"
+
+
 def by_family(scores: Scores) -> str:
     """Whether both families order the explainers alike."""
     kinds = [kind_of(policy["architecture"]) for policy in scores.policies]
@@ -242,7 +268,7 @@ def by_family(scores: Scores) -> str:
         its = scores.only(lambda policy, family=family: kind_of(policy["architecture"]) == family)  # type: ignore[misc]
         means[family] = {name: its.mean(ORDER, name) for name in scores.explainers}
     said = "; ".join(
-        f"in `{family}`, {counted(kinds.count(family), 'policy')}, `{max(of, key=of.__getitem__)}` is first "
+        f"in `{family}`, {counted(kinds.count(family), 'policy')}, {firsts(of)} first "
         f"({max(of.values()):.2f}) and `attention` has {of['attention']:.2f}"
         for family, of in means.items()
     )
@@ -258,11 +284,11 @@ def undecided(scores: Scores) -> list[str]:
     kinds = Counter(
         (each["task"], each["n_agents"], bool(each["attention_entropy"])) for each in scores.policies
     )
-    most = max(kinds.values())
+    most, single = max(kinds.values()), sum(n == 1 for n in kinds.values())
     lines = [
         f"- **Runs.** {len(scores.policies)} policies. Of {N_KINDS} kinds (a cell, with or without the term) "
-        f"{len(kinds)} have a policy, and none has more than {most}. How far runs of one cell spread is "
-        + ("not known." if most == 1 else "known for some cells only."),
+        f"{len(kinds)} have a policy, {single} only one, and none has more than {most}. How far runs of one "
+        f"cell spread is " + ("not known." if most == 1 else "known for some cells only."),
         "- **One dose.** On the board each task has one weight of the entropy term. "
         "[dose.md](dose.md) has several, of one cell.",
     ]

@@ -14,6 +14,7 @@ from typing import Any
 
 from xmarl_bench.board.answer import answer_of, answer_on_term, gamed_by, number
 from xmarl_bench.board.regulariser import families_of, regulariser_of
+from xmarl_bench.board.robustness import lead_without_zero, others_with_term
 from xmarl_bench.board.scores import Scores, overall_ranking
 from xmarl_bench.counted import counted
 from xmarl_bench.records.markdown import markdown_table, rewrite, with_part
@@ -30,11 +31,16 @@ CONTROLS = {
 def answer(board: dict[str, Any]) -> str:
     """Points: who leads, how surely; who does not beat a control; what the mask of ones and the term do."""
     scores = Scores.of(board)
-    gain = regulariser_of(families_of(scores.tables)).get("attention")
-    said = answer_of(scores.ranking)
-    points = [" ".join(said[:2]), " ".join(said[2:])]
-    points += [gamed_by(scores.ranking["rows"]), answer_on_term("attention", gain)]
-    return "".join(f"{_point(each)}\n" for each in points if each)
+    families, said = families_of(scores.tables), answer_of(scores.ranking)
+    gain = regulariser_of(families).get("attention")
+    points = (
+        [*said[:2], lead_without_zero(scores)],
+        said[2:],
+        [gamed_by(scores.ranking["rows"])],
+        [answer_on_term("attention", gain), others_with_term(families, "attention", scores.explainers[0])],
+    )
+    texts = (" ".join(each for each in sentences if each) for sentences in points)
+    return "".join(f"{_point(text)}\n" for text in texts if text)
 
 
 def _point(text: str) -> str:

@@ -19,6 +19,7 @@ CONTROLS = "random", "all-ones", "initial-attention", "nearest"
 EXPLAINERS = (
     "attention",
     "occlusion",
+    "shapley-messages",
     "gnn_explainer",
     "gnn_explainer-tuned",
     "graphmask",
@@ -90,6 +91,36 @@ def test_attention_is_judged_beside_its_initialisation(
 ) -> None:
     found = script["attention_is_learnt"](scores({"attention": 0.885, "initial-attention": untrained}))
     assert found.title == title
+
+
+def test_attention_beside_the_nearest_agent_is_told_by_task(script: dict[str, Any]) -> None:
+    found = script["attention_is_learnt"](scores({"attention": 0.5, "nearest": 0.25}))
+    # Of two policies each, one training: 0.255 and 0.275 without interval.
+    assert found.text.endswith(
+        "By task, attention less the nearest agent is +0.28 in discovery, +0.26 in passage."
+    )
+
+
+def test_first_ones_are_told_together(script: dict[str, Any]) -> None:
+    assert script["firsts"]({"a": 0.5, "b": 0.4}) == "`a` is"
+    assert script["firsts"]({"a": 0.5, "b": 0.5 + 1e-9, "c": 0.5}) == "`a`, `b` and `c` are"
+
+
+def test_who_is_first_is_undecided_where_absence_models_are_not_shown_to_differ(
+    script: dict[str, Any],
+) -> None:
+    same = scores({"attention": 0.9, "occlusion": 0.5})
+    assert script["absence_decides"](same).title == "attention is first under all absence models"
+    under_mean = {name: dict(of) for name, of in same.values[ABSENCES[1]].items()}
+    above = dict(zip(under_mean["attention"], (0.2, 0.1, -0.1, -0.1), strict=True))
+    under_mean["occlusion"] = {name: under_mean["attention"][name] + x for name, x in above.items()}
+    unsure = replace(same, values={**same.values, ABSENCES[1]: under_mean})
+    assert script["absence_decides"](unsure).title.endswith("may decide who is first")
+    under_mean["occlusion"] = {name: value + 0.3 for name, value in under_mean["attention"].items()}
+    sure = replace(same, values={**same.values, ABSENCES[1]: under_mean})
+    found = script["absence_decides"](sure)
+    assert found.title.endswith("message decides who is first")
+    assert "+0.30 [+0.30, +0.30] above attention" in found.text
 
 
 def test_defaults_are_judged_beside_chance(script: dict[str, Any]) -> None:

@@ -22,16 +22,19 @@ PAPER_KIND = "mlp-gatv2-mlp"
 SIDES = ("without", "with")  # the term
 
 
-def families_of(tables: Sequence[Json]) -> list[Json]:
+def families_of(tables: Sequence[Json], *, gated: bool = False) -> list[Json]:
     """Policies of a cell and architecture that have pairs: {task, n_agents, kind, pairs}.
 
-    A pair is {"without": policies, "with": policies}. Pairs are in the order of their training seeds.
+    gated: with policies that do not pass the gate. A pair is {"without": policies, "with": policies}. Pairs
+    are in the order of their training seeds.
     """
     families: dict[tuple[str, int, bytes], Json] = {}
     for table in tables:
         for policy in table["policies"]:
             seed = policy["training_seed"]
-            if policy["gate"] or seed is None or policy["trained_n_agents"] != table["n_agents"]:
+            if seed is None or policy["trained_n_agents"] != table["n_agents"]:
+                continue
+            if policy["gate"] and not gated:
                 continue
             architecture = policy["architecture"]
             key = (table["task"], table["n_agents"], canonical_json(architecture))
@@ -94,6 +97,11 @@ def score_of(policy: Json, explainer: str, metric: str = ORDER["by"]) -> float |
     """Mean over an explainer's rows of a policy; None without a value."""
     rows = [row for row in policy["rows"] if row["explainer"] == explainer and not row["control"]]
     return _mean([summary["value"] for row in rows if (summary := row["metrics"].get(metric)) is not None])
+
+
+def task_metric_of(policy: Json, metric: str) -> float | None:
+    summary = policy["metrics"].get(metric)
+    return None if summary is None else summary["value"]
 
 
 def kind_of(architecture: Json) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -83,6 +83,14 @@ class Scores:
 
     def difference(self, metric: str, a: str, b: str | None = None) -> Difference:
         """Mean over cells of the mean over their policies of a less b, or of a alone."""
-        ours = self.of_policies(metric, a)
-        theirs = np.zeros(len(ours)) if b is None else self.of_policies(metric, b)
+        return self.difference_over((metric,), a, b)
+
+    def difference_over(self, metrics: Sequence[str], a: str, b: str | None = None) -> Difference:
+        """`difference` of a policy's mean over several metrics."""
+        ours = np.mean([self.of_policies(metric, a) for metric in metrics], axis=0)
+        theirs = (
+            np.zeros_like(ours)
+            if b is None
+            else np.mean([self.of_policies(metric, b) for metric in metrics], axis=0)
+        )
         return over_runs([[x] for x in ours], [[y] for y in theirs], design=self.design)

@@ -1,0 +1,98 @@
+"""Prints what the draws of `resample` cost an explainer that cannot know them: a table of docs/metrics.md.
+
+    .venv/bin/python docs/measure_draws.py
+
+Explainers do not see which reference states are drawn, the oracle does. So the best that an explainer can do
+is the best set of messages over all reference states. The table has its budgeted fidelity under `resample` as
+it is scored, with DRAWS draws, and attention's with these draws and over all reference states. On TIMESTEPS
+timesteps of each of the first EPISODES scoring episodes of the default policies, mean over a task's policies.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from xmarl_bench.explain.absence import DRAWS, Removal, message_rows, stand_ins
+from xmarl_bench.metrics import (
+    budgeted_fidelity,
+    choices,
+    fid_delta_at_k,
+    fid_delta_table,
+    oracle_at_k,
+    other_senders,
+    random_at_k,
+)
+from xmarl_bench.metrics.absence import Absence
+from xmarl_bench.plugins.names import find_policies
+from xmarl_bench.policy import GraphPolicy, load_policy
+from xmarl_bench.policy.card import load_card
+from xmarl_bench.policy.default_policies import default_policies
+from xmarl_bench.reproducible import derived_seed, episode_seeds
+from xmarl_bench.rollout.cell import Cell, spaced_timesteps
+from xmarl_bench.rollout.episodes import Episode, Rollout
+from xmarl_bench.rollout.reference_states import fit_states
+
+EPISODES: Final = 5
+TIMESTEPS: Final = 20
+Floats = NDArray[np.float64]
+
+
+def best_without_knowing(drawn: Floats, expected: Floats) -> Floats:
+    """(R, S, N) FidDelta by the draws and over all states -> (M - 1,): of the sets best over all states."""
+    size = np.bitwise_count(np.arange(len(drawn)))
+    found = []
+    for k in range(1, int(size.max())):
+        rows = size == k
+        best = expected[rows].argmax(axis=0)[None]
+        found.append(np.take_along_axis(drawn[rows], best, axis=0).mean())
+    return np.array(found)
+
+
+def of_episode(policy: GraphPolicy, messages: torch.Tensor, episode: Episode) -> list[float]:
+    """The best without knowing, attention by the draws, attention over all reference states."""
+    chosen = spaced_timesteps(episode.makespan, TIMESTEPS)
+    observations = torch.tensor(episode.observations[chosen])
+    n_steps, n_agents, _ = observations.shape
+    masks = message_rows(n_agents)[:, None].expand(-1, n_steps, -1, -1)
+    rng = np.random.default_rng(derived_seed("draws", episode.seed))
+
+    def delta(replaced: tuple[torch.Tensor | None, ...]) -> Floats:
+        return fid_delta_table(Removal(policy, observations, Absence.RESAMPLE, replaced).change(masks))
+
+    drawn = delta(tuple(stand_ins(Absence.RESAMPLE, messages, (DRAWS, n_steps), rng)))
+    expected = delta(tuple(each.expand(n_steps, -1, -1) for each in messages))
+    with torch.no_grad():
+        share = choices(other_senders(policy.attention(observations).numpy()))
+    scored = [(drawn, best_without_knowing(drawn, expected))]
+    scored += [(table, fid_delta_at_k(table, share)) for table in (drawn, expected)]
+    return [budgeted_fidelity(found, random_at_k(table), oracle_at_k(table)) for table, found in scored]
+
+
+def of_policy(name: str) -> tuple[str, list[float]]:
+    """The task, and means over episodes."""
+    policy, card = load_policy(find_policies()[name])
+    assert isinstance(policy, GraphPolicy)
+    with torch.no_grad():
+        messages = policy.prepare(fit_states(policy, card.task, card.n_agents)).message
+    seeds = tuple(episode_seeds(0, EPISODES))
+    episodes = Rollout(policy, Cell(card.task, card.n_agents), seeds, None).play()
+    values = np.nanmean([of_episode(policy, messages, each) for each in episodes], axis=0)
+    return card.task, values.tolist()
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    by_task = defaultdict(list)
+    for card in default_policies(load_card(folder) for folder in find_policies().values()):
+        task, values = of_policy(card.name)
+        print(f"{card.name}: {', '.join(f'{value:.3f}' for value in values)}", flush=True)
+        by_task[task].append(values)
+    print("| task | best without knowing the draws | attention, by the draws | attention, over all states |")
+    print("|---|---|---|---|")
+    for task, of_task in sorted(by_task.items()):
+        print(f"| {task} | {' | '.join(f'{value:.2f}' for value in np.mean(of_task, axis=0))} |")

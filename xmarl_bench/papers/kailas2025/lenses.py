@@ -92,7 +92,7 @@ LENSES = (
     ),
     Lens(
         "communication-only budgeted",
-        "communication-only budgeted fidelity in place of FidDelta: the leaderboard's order",
+        "communication-only budgeted fidelity in place of FidDelta: the leaderboard's order under zero alone",
         {},
         COMMUNICATION_BUDGETED,
     ),

@@ -23,16 +23,17 @@ def overall_ranking(board: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Scores:
-    """The board's values, of the policies that the ranking over all tasks compares."""
+    """The board's values, of the policies that a ranking compares."""
 
-    ranking: dict[str, Any]  # over all tasks
+    ranking: dict[str, Any]
     tables: list[dict[str, Any]]  # measured as the ranking's are
     policies: list[dict[str, Any]]
     values: dict[str, dict[str, dict[str, float]]]  # metric -> explainer or control -> policy
 
     @classmethod
-    def of(cls, board: dict[str, Any]) -> Scores:
-        ranking = overall_ranking(board)
+    def of(cls, board: dict[str, Any], ranking: dict[str, Any] | None = None) -> Scores:
+        """ranking: one of the board's; by default that over all tasks and team sizes."""
+        ranking = overall_ranking(board) if ranking is None else ranking
         alike = ("protocol", "oracle")
         tables = [each for each in board["tables"] if all(each[key] == ranking[key] for key in alike)]
         compared = {(each["name"], each["n_agents"]) for each in ranking["policies"]}

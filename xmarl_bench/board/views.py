@@ -18,6 +18,8 @@ from xmarl_bench.board.charts import axis_of, line, steps
 from xmarl_bench.board.columns import COMPARED, GAMED, ORDER, title_of
 from xmarl_bench.board.details import Details
 from xmarl_bench.board.regulariser import families_of, regulariser_of
+from xmarl_bench.board.robustness import answer_by
+from xmarl_bench.board.scores import Scores
 from xmarl_bench.explain.control_names import MESSAGES_ONLY, NEAREST, RANDOM
 from xmarl_bench.metrics.performance_profile import performance_profile
 
@@ -91,7 +93,7 @@ def context_of(
     ranked = [row for row in rows if row["rank"] is not None]
     return {
         "scope": scope,
-        "answer": answer_of(ranking),
+        "answer": answer_by(Scores.of(board, ranking)) if ranked else answer_of(None),
         "n_policies": len(ranking["policies"]),
         "n_cells": ranking["n_cells"],
         "n_trainings": ranking["n_trainings"],

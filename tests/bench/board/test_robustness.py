@@ -42,6 +42,14 @@ def test_a_lead_is_told_without_zero(second: tuple[float, ...], said: str) -> No
     assert lead.startswith("The next, `b`, is") and rests.startswith(said)
 
 
+def test_every_ranking_tells_what_its_lead_rests_on() -> None:
+    made = board({"a": (0.9, 0.5, 0.5, 0.5), "b": (0.4, 0.6, 0.6, 0.6)})
+    assert {ranking["task"] for ranking in made["rankings"]} == {None, made["tables"][0]["task"]}
+    for ranking in made["rankings"]:
+        said = answer_by(Scores.of(made, ranking))
+        assert said[2].startswith("That lead rests on the absence model `zero`"), ranking["task"]
+
+
 def test_without_a_lead_nothing_is_added() -> None:
     scores = Scores.of(board({"a": (0.9, 0.5, 0.5, 0.5)}))
     assert lead_without_zero(scores) == ""

@@ -7,12 +7,14 @@ Run it after entries were added or scored again; tests/docs/test_scaling_page.py
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 from statistics import mean, median
+from typing import Any, NamedTuple
 
-from xmarl_bench.entry.file import read_entries
-from xmarl_bench.entry.schema import Entry
+from xmarl_bench.entry.file import SHARED, entry_files
 from xmarl_bench.records.markdown import markdown_table, rewrite, with_part
 
 HERE = Path(__file__).parent
@@ -22,23 +24,43 @@ CORES = 64
 PRICE = 0.05  # US dollars for one rented core for one hour: an assumption, not a measurement
 
 
-def section(entries: list[Entry]) -> str:
+class Measured(NamedTuple):
+    """What an entry says of its costs."""
+
+    explainer: str
+    policy: str
+    n_agents: int
+    timesteps: int | None  # of an episode; None: all
+    cost: dict[str, Any]
+    cpu: str
+
+    @property
+    def label(self) -> str:
+        some = "" if self.timesteps is None else f", {self.timesteps} timesteps an episode"
+        return f"`{self.explainer}`{some}"
+
+    def seconds(self, what: str) -> float:
+        """Of `explain` or `shared`."""
+        return float(self.cost[f"{what}_seconds_per_timestep"] * self.cost["explained_timesteps"])
+
+
+def section(entries: list[Measured]) -> str:
     """The table of seconds per (policy, explainer), and the total for `POLICIES`."""
-    by_explainer: dict[str, list[Entry]] = defaultdict(list)
+    by_explainer: dict[str, list[Measured]] = defaultdict(list)
     for entry in entries:
-        by_explainer[_label(entry)].append(entry)
-    sizes = sorted({entry.policy.n_agents for entry in entries})
+        by_explainer[entry.label].append(entry)
+    sizes = sorted({entry.n_agents for entry in entries})
     shared = _shared(entries)
     rows = [_row("oracle and controls, once per policy", sizes, shared)]
     total = mean([seconds for _, seconds in shared])
     summands = [f"{total:.1f}"]
     for label, its_entries in sorted(by_explainer.items()):
-        masks = [(entry.policy.n_agents, _masks(entry)) for entry in its_entries]
+        masks = [(entry.n_agents, entry.seconds("explain")) for entry in its_entries]
         rows.append(_row(f"{label}: masks", sizes, masks))
         played = [
-            (entry.policy.n_agents, entry.cost.behaviour_seconds)
+            (entry.n_agents, entry.cost["behaviour_seconds"])
             for entry in its_entries
-            if entry.cost.behaviour_seconds
+            if entry.cost["behaviour_seconds"]
         ]
         if played:
             rows.append(_row(f"{label}: playing on them", sizes, played))
@@ -47,8 +69,8 @@ def section(entries: list[Entry]) -> str:
                 summands.append(f"{mean(seconds for _, seconds in part):.1f}")
                 total += mean(seconds for _, seconds in part)
     hours = total * POLICIES / 3600
-    timesteps = [entry.cost.explained_timesteps for entry in entries]
-    cpus = ", ".join(sorted({entry.provenance.cpu for entry in entries}))
+    timesteps = [entry.cost["explained_timesteps"] for entry in entries]
+    cpus = ", ".join(sorted({entry.cpu for entry in entries}))
     some = f"{min(timesteps)} to {max(timesteps)}"
     lines = [
         markdown_table(("seconds on one core", *(f"{n} agents" for n in sizes), "policies"), rows),
@@ -63,22 +85,12 @@ def section(entries: list[Entry]) -> str:
     return "\n".join(lines)
 
 
-def _label(entry: Entry) -> str:
-    timesteps = entry.protocol.timesteps
-    return f"`{entry.explainer.name}`" + ("" if timesteps is None else f", {timesteps} timesteps an episode")
-
-
-def _masks(entry: Entry) -> float:
-    return entry.cost.explain_seconds_per_timestep * entry.cost.explained_timesteps
-
-
-def _shared(entries: list[Entry]) -> list[tuple[int, float]]:
+def _shared(entries: list[Measured]) -> list[tuple[int, float]]:
     """(team size, seconds) of each policy that is explained on all timesteps."""
     seconds: dict[tuple[str, int], list[float]] = defaultdict(list)
     for entry in entries:
-        if entry.protocol.timesteps is None:
-            each = entry.cost.shared_seconds_per_timestep * entry.cost.explained_timesteps
-            seconds[entry.policy.name, entry.policy.n_agents].append(each)
+        if entry.timesteps is None:
+            seconds[entry.policy, entry.n_agents].append(entry.seconds("shared"))
     return [(n_agents, median(each)) for (_, n_agents), each in seconds.items()]
 
 
@@ -90,15 +102,33 @@ def _row(what: str, sizes: list[int], seconds: list[tuple[int, float]]) -> list[
     return [*cells, str(len(seconds))]
 
 
-def page(text: str, entries: list[Entry]) -> str:
+def page(text: str, entries: list[Measured]) -> str:
     """`text` of the page with its measured part replaced."""
     return with_part(text, "measured", section(entries))
 
 
-def measured() -> list[Entry]:
-    """Entries of policies in teams of the size that they were trained for."""
-    entries = [entry for _, entry in read_entries(ENTRIES)]
-    return [each for each in entries if {cell.n_agents for cell in each.results} == {each.policy.n_agents}]
+def measured() -> list[Measured]:
+    """Entries of policies in teams of the size that they were trained for.
+
+    Does not check them: that takes ten times as long, and a build of the board does it.
+    """
+    found = []
+    for path in entry_files(ENTRIES).entries:
+        own = json.loads(path.read_bytes())
+        shared = _shared_part(own[SHARED])
+        policy, protocol = shared["policy"], shared["protocol"]
+        if {cell["n_agents"] for cell in shared["results"]} == {policy["n_agents"]}:
+            explainer, cpu = own["explainer"]["name"], own["provenance"]["cpu"]
+            name, n_agents, timesteps = policy["name"], policy["n_agents"], protocol["timesteps"]
+            found.append(Measured(explainer, name, n_agents, timesteps, own["cost"], cpu))
+    return found
+
+
+@cache
+def _shared_part(digest: str) -> dict[str, Any]:
+    """What entries of a policy share."""
+    part: dict[str, Any] = json.loads((ENTRIES / SHARED / f"{digest}.json").read_bytes())
+    return part
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ def ray_cluster() -> Iterator[str]:
 
 
 @contextmanager
-def dask_cluster(*options: str) -> Iterator[str]:
+def dask_cluster() -> Iterator[str]:
     """Yields the address of a scheduler with two workers, each a process with one thread and a nanny."""
     from distributed import Client
 
@@ -58,11 +58,11 @@ def dask_cluster(*options: str) -> Iterator[str]:
             processes.append(
                 start(
                     "distributed.cli.dask_worker", address, "--local-directory", folder,
-                    "--no-dashboard", *(options or ("--nworkers", "2", "--nthreads", "1")),
+                    "--no-dashboard", "--nworkers", "2", "--nthreads", "1",
                 )
             )  # fmt: skip
             with Client(address, set_as_default=False) as client:
-                client.wait_for_workers(1 if options else 2, timeout=SECONDS)
+                client.wait_for_workers(2, timeout=SECONDS)
             yield address
         finally:
             for process in reversed(processes):

@@ -13,7 +13,6 @@ from xmarl_bench.errors import InputError
 if TYPE_CHECKING:  # torch takes a worker seconds to import, and few of these need it
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.policy import Policy
-    from xmarl_bench.rollout.episodes import Episode, Rollout
     from xmarl_bench.scoring.measure import Unit
     from xmarl_bench.scoring.policy_payload import PolicyPayload
 
@@ -89,13 +88,13 @@ def kill_worker(number: int) -> int:
     return number
 
 
-def kill_worker_once(unit: tuple[Rollout, Path | None]) -> list[Episode]:
-    """A real piece of scoring; if a file is named, the worker dies at the first attempt."""
-    rollout, mark = unit
+def kill_worker_once(unit: tuple[int, Path | None]) -> int:
+    """The square; if a file is named, the worker dies at the first attempt."""
+    number, mark = unit
     if mark is not None and not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return rollout.play()
+    return number * number
 
 
 def square_behind(unit: tuple[int, Path]) -> int:
@@ -124,27 +123,6 @@ def started_and_ended(number: int) -> tuple[float, float]:
     started = time.monotonic()  # the same clock for all processes of a machine
     time.sleep(0.05)
     return started, time.monotonic()
-
-
-def some_rollouts() -> list[Rollout]:
-    """Six rollouts of a small policy with random weights."""
-    from xmarl_envs import TASKS
-
-    from tests.helpers.policies import small_policy
-    from xmarl_bench.rollout.cell import Cell
-    from xmarl_bench.rollout.episodes import Rollout
-
-    task = "blind_navigation_v0"
-    policy = small_policy(len(TASKS[task].observation_names))
-    return [Rollout(policy, Cell(task, 3), (k, k + 10), max_cycles=40) for k in range(6)]
-
-
-def to_the_bit(played: list[list[Episode]]) -> list[tuple[object, ...]]:
-    return [
-        (each.seed, each.observations.tobytes(), each.reward.hex(), each.success_rate, each.makespan)
-        for episodes in played
-        for each in episodes
-    ]
 
 
 def twenty_kilobytes(number: int) -> bytes:

@@ -25,6 +25,7 @@ def board(tmp_path: Path, make_bundle: MakeBundle, monkeypatch: pytest.MonkeyPat
     bundle = make_bundle(name="small")
     install(monkeypatch, small=bundle)
     monkeypatch.setattr(animation, "FILM_ROWS", 1)
+    monkeypatch.setattr(animation, "FILM_COLUMNS", 2)
     folder = tmp_path / "board"
     entry = score(bundle, find_explainer("random"), episodes=1, timesteps=2, max_cycles=6)
     write_entry(folder / "entries", entry)
@@ -41,7 +42,7 @@ def test_animations_are_drawn_once_and_shown(board: Path, run_cli: RunCli) -> No
     assert f"{path}: small, random" in ran.out
     assert "stranger, random: no animation: " in ran.out
     with Image.open(path) as image:
-        assert image.size == (6 * SIZE, HEADER + LINE + SIZE)
+        assert image.size == (2 * SIZE, HEADER + LINE + SIZE)
     (data,) = (board / "pages").glob("board-*.js")
     assert path.stem in data.read_text()
     assert check_board(board) == []

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -212,16 +210,6 @@ def test_settings_that_pyg_keeps_on_a_class_do_not_fail_the_checks() -> None:
     assert (
         failed(algorithm, "policy untouched", "global random state untouched", "observations untouched") == {}
     )
-
-
-@pytest.mark.slow
-def test_another_process_gives_the_same_mask() -> None:
-    assert failed(attended, PROCESS) == {}
-    by_process = as_explainer(lambda observations: torch.full((len(observations), 3, 3), 1 / os.getpid()))
-    assert "the mask differs in another process" in failed(by_process, PROCESS)[PROCESS]
-    lock = threading.Lock()
-    unsendable = as_explainer(lambda observations: observations @ observations.mT * lock.locked())
-    assert "cannot be sent to a worker process" in failed(unsendable, PROCESS)[PROCESS]
 
 
 @pytest.fixture

@@ -245,17 +245,6 @@ def test_entries_finished_before_an_error_are_kept_and_on_the_board(
     assert row["explainer"] == "random"
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("plugins")
-def test_an_invalid_explainer_is_refused_in_a_worker_process_too(
-    run_cli: RunCli, make_bundle: MakeBundle, out: Path
-) -> None:
-    ran = run_cli(
-        "score", "--policy", make_bundle(), "--explainer", "late-nan", *QUICK, "--jobs", 2, "--out", out
-    )
-    assert_refused(ran, out, "'late-nan'", "NaN")
-
-
 @pytest.mark.usefixtures("plugins")
 def test_a_policy_plugin_that_fails_to_load_is_reported(run_cli: RunCli, out: Path) -> None:
     assert_refused(run_cli("score", "--out", out, "--explainer", "random"), out, "'broken-policies'")

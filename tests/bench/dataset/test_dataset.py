@@ -50,12 +50,6 @@ def test_the_page_computes_the_message_fidelity_of_an_entry(
 
 
 @pytest.mark.slow
-def test_any_number_of_jobs_writes_the_same_bytes(tmp_path: Path, run_cli: RunCli) -> None:
-    bundle = save_bundle(tmp_path)
-    assert exported(bundle, tmp_path / "a", run_cli) == exported(bundle, tmp_path / "b", run_cli, "--jobs", 2)
-
-
-@pytest.mark.slow
 def test_the_policy_beside_the_file_does_what_the_file_says(tmp_path: Path, run_cli: RunCli) -> None:
     exported(save_bundle(tmp_path), tmp_path / "d", run_cli)
     data = read_dataset(tmp_path / "d" / "small.safetensors")

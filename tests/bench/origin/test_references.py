@@ -135,12 +135,12 @@ def test_a_failure_to_load_is_one_sentence(reference: str, said: str, file: Path
 
 
 @pytest.mark.slow
-def test_a_file_is_scored_in_worker_processes_and_recorded(
+def test_a_file_is_scored_and_recorded(
     run_cli: RunCli, make_bundle: MakeBundle, file: Path, tmp_path: Path
 ) -> None:
     ran = run_cli(
         "score", "--policy", make_bundle(), "--explainer", f"{file}:nearest", "--explainer", f"{file}:half",
-        *QUICK, "--jobs", 2, "--out", tmp_path / "board",
+        *QUICK, "--out", tmp_path / "board",
     )  # fmt: skip
     assert ran.code == 0, ran.err
     entries = {entry.explainer.name: entry.explainer for _, entry in read_entries(tmp_path / "board/entries")}

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import pickle
-from pathlib import Path
 
 import cloudpickle
-import pytest
 import torch
 
-from tests.helpers import units_of_work
 from tests.helpers.policies import small_policy
-from xmarl_bench.parallel.fan_out import in_order
-from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import Policy
 from xmarl_bench.scoring.policy_payload import POLICIES_KEPT, PolicyPayload
 
@@ -60,14 +55,3 @@ def test_few_are_kept() -> None:
 def test_in_this_process_nothing_is_copied() -> None:
     policy = small_policy(6)
     assert work(policy, "").work[0] is policy
-
-
-@pytest.mark.slow
-def test_each_worker_loads_it_once(tmp_path: Path) -> None:
-    policy = small_policy(6)
-    units = [work(policy, str(tmp_path)) for _ in range(12)]
-    loaded = list(in_order(units_of_work.loaded, units, workers=Workers(2)))
-    assert len(loaded) == 12
-    processes = {process for process, _ in loaded}  # two, and those that loky replaced one with
-    assert 2 <= len(processes) < 12
-    assert len(set(loaded)) == len(processes)

@@ -1,4 +1,4 @@
-"""Entries repeat byte for byte, for any number of processes and of parallel episodes."""
+"""Entries repeat byte for byte, for any number of parallel episodes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.metrics.table import UNDER_ABSENCES
-from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.plugins.registry import find_explainer
 from xmarl_bench.policy import load_policy
 from xmarl_bench.records.files import canonical_json
@@ -42,26 +41,6 @@ def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make
     ]
     assert len({bytes_of(entry) for entry in runs}) == 1
     assert runs[0].results[0].episodes[0].timesteps == 20
-
-
-@pytest.mark.slow
-def test_one_and_two_processes_write_the_same_bytes(make_bundle: MakeBundle) -> None:
-    policies = [load_policy(make_bundle(task, name=task)) for task in sorted(TASKS)]
-    fast, few = Sampling(episodes=4, max_cycles=15), Sampling(episodes=2, timesteps=1, max_cycles=15)
-    requests = [
-        Request(policy, card, find_explainer("attention"), (Cell(card.task, 3),), fast)
-        for policy, card in policies
-    ]
-    requests += [
-        Request(*policies[0], find_explainer(name), requests[0].cells, few, behaviour_episodes=0)
-        for name in ("gnn_explainer", "graphmask-pyg")
-    ]
-    one = [bytes_of(entry) for entry in entries_of(score_requests(requests))]
-    two = [
-        bytes_of(entry)
-        for entry in entries_of(score_requests(requests, workers=Workers(2), parallel_episodes=1))
-    ]
-    assert one == two
 
 
 @pytest.mark.slow

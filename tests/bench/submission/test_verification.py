@@ -48,14 +48,6 @@ def of_bundle(path: Path, entry: Entry, options: Options) -> Verdict:
 
 
 @pytest.mark.slow
-def test_entries_are_verified_in_parallel(files: Mapping[str, bytes], pack: Pack, run_cli: RunCli) -> None:
-    path = pack(files)
-    one, two = (run_cli("verify", path, "--tier", "full", "--jobs", jobs, "--json").out for jobs in (1, 2))
-    assert one == two
-    assert len(json.loads(one)) == 2
-
-
-@pytest.mark.slow
 def test_an_honest_bundle_passes_every_tier_bit_for_bit(
     files: Mapping[str, bytes], entries: list[Entry], pack: Pack
 ) -> None:

@@ -47,13 +47,10 @@ def bundle(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_bundle_is_scored_on_a_task_of_others(
-    jobs: int, bundle: Path, run_cli: RunCli, tmp_path: Path
-) -> None:
+def test_a_bundle_is_scored_on_a_task_of_others(bundle: Path, run_cli: RunCli, tmp_path: Path) -> None:
     where = ("--out", tmp_path / "out", "--cache", tmp_path / "cache")
     command = ["score", "--policy", bundle, "--task", f"{HERE}:spread", "--explainer", "occlusion", *QUICK]
-    ran = run_cli(*command, "--jobs", jobs, *where, "--trust-code")
+    ran = run_cli(*command, *where, "--trust-code")
     assert ran.code == 0, ran.err
     ((name, entry),) = [(path.name, each) for path, each in read_entries(tmp_path / "out" / "entries")]
     (cell,) = entry.results

@@ -25,6 +25,7 @@ gc.disable()  # until all tests are imported: the collector would search what st
 # Ray reads these once per process, at its first use. A head takes work only from processes that have its
 # token. By default workers have a low priority, and on a busy machine would wait for minutes.
 os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_worker_niceness": "0"}
+os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # what shap compiles takes 10 s, and runs for milliseconds
 
 MakeBundle = Callable[..., Path]
 

@@ -89,8 +89,7 @@ def test_new_packages_are_listed_scored_and_compared_beside_one_that_fails_to_im
     assert (tmp_path / "comparison.svg").read_text().count("<svg") == 1
 
 
-@pytest.mark.parametrize("kind", ["explainer", "policy"])
-def test_new_packages_pass_their_own_tests(kind: str, run: Run, packages: Path) -> None:
-    tested = run("pytest", "-q", "-p", "no:cacheprovider", packages / kind)
+def test_new_packages_pass_their_own_tests(run: Run, packages: Path) -> None:
+    tested = run("pytest", "-q", "-p", "no:cacheprovider", packages / "explainer", packages / "policy")
     assert tested.code == 0, tested.out
-    assert "2 passed" in tested.out
+    assert "4 passed" in tested.out

@@ -8,16 +8,19 @@ from pathlib import Path
 
 import pytest
 
+from tests.bench.checks.test_explainer_checks import PROCESS
 from tests.bench.explain.test_other_libraries import BY_ROWS, OF_CAPTUM, OF_GRAPH_EXPLAIN, OF_SHAP
 from tests.bench.explain.test_pyg import EVERY
 from tests.conftest import RunCli
 from tests.helpers.libraries import BLOCKS, PAGE, library
 from tests.helpers.shipped import shipped_explainers
+from xmarl_bench.checks.explainer_checks import CHECKS
 from xmarl_bench.explain.adapters import DECLARATIONS
 from xmarl_bench.explain.explainer import Explainer
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("short_episodes")
 def test_the_code_runs_from_top_to_bottom() -> None:
     assert len(BLOCKS) == 9
     for name in ("captum", "graph_explain", "shap"):
@@ -28,10 +31,11 @@ def test_the_code_runs_from_top_to_bottom() -> None:
 
 
 COMMANDS = re.findall(r"^xmarl-bench ((?:check|compare|score) .*?)(?: {3,}#.*)?$", PAGE, flags=re.MULTILINE)
-SMALL = ("--episodes", 2, "--timesteps", 2, "--max-cycles", 3)
+SMALL = ("--episodes", 2, "--timesteps", 2, "--max-cycles", 3, "--behaviour-episodes", 0)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("short_episodes")
 def test_the_commands_run(run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("own.py").write_text(BLOCKS[0].partition("entry =")[0])
@@ -39,8 +43,9 @@ def test_the_commands_run(run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.M
     assert set(re.findall(r"^```(\w+)$", PAGE, flags=re.MULTILINE)) == {"python", "sh"}
     assert len(COMMANDS) == sum(len(shell.splitlines()) for shell in shells)
     own, of_pyg, check, compare = (command.split() for command in COMMANDS)
-    for command in (own, of_pyg, [*own[:4], "gnn_explainer", "--no-behaviour", "gnn_explainer"]):
+    for command in (own, of_pyg, [*own[:4], "gnn_explainer"]):
         assert run_cli(*command, *SMALL, "--out", "results").code == 0
+    monkeypatch.delitem(CHECKS, PROCESS)
     assert run_cli(*check, "--timesteps", 2).code == 0
     compared = run_cli(*compare, "--entries", "results")
     assert compared.code == 0, compared.err

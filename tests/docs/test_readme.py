@@ -19,6 +19,7 @@ def test_there_is_code() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("short_episodes")
 def test_the_example_scores(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(BLOCKS[0], "README.md", "exec"), {"__name__": "readme"})
     printed = capsys.readouterr().out.splitlines()

@@ -37,16 +37,16 @@ def bytes_of(entry: Entry) -> bytes:
 def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make_bundle: MakeBundle) -> None:
     folder = make_bundle(task)
     runs = [
-        score(folder, "random", episodes=3, max_cycles=20, parallel_episodes=width) for width in (50, 1, 2)
+        score(folder, "random", episodes=3, max_cycles=8, parallel_episodes=width) for width in (50, 1, 2)
     ]
     assert len({bytes_of(entry) for entry in runs}) == 1
-    assert runs[0].results[0].episodes[0].timesteps == 20
+    assert runs[0].results[0].episodes[0].timesteps == 8
 
 
 @pytest.mark.slow
 def test_an_entry_does_not_depend_on_other_requests(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
-    samplings = Sampling(episodes=4, max_cycles=20), Sampling(episodes=2, timesteps=3, max_cycles=20)
+    samplings = Sampling(episodes=3, max_cycles=8), Sampling(episodes=2, timesteps=3, max_cycles=8)
     names = ("random", "attention")
     requests = [
         Request(policy, card, find_explainer(name), (Cell(card.task, 3),), sampling)
@@ -149,7 +149,7 @@ def test_metrics_that_are_not_measured_have_a_reason(make_bundle: MakeBundle) ->
 @pytest.mark.slow
 def test_fewer_behaviour_episodes_are_the_first_ones_of_more(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
-    cells, sampling = (Cell(card.task, 3),), Sampling(episodes=4, max_cycles=12)
+    cells, sampling = (Cell(card.task, 3),), Sampling(episodes=4, max_cycles=6)
     requests = [
         Request(policy, card, find_explainer(name), cells, sampling, played)
         for name in ("attention", "bernoulli")

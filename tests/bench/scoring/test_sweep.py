@@ -26,6 +26,7 @@ from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.episodes import Rollout
 from xmarl_bench.rollout.reference_states import FIRST_FIT_SEED
+from xmarl_bench.scoring import pieces
 from xmarl_bench.scoring import sweep as module
 from xmarl_bench.scoring.cache import Cache
 from xmarl_bench.scoring.measure import Unit
@@ -36,7 +37,12 @@ from xmarl_bench.scoring.sweep import Payload, run
 
 pytestmark = pytest.mark.slow
 
-SAMPLING = Sampling(episodes=12, timesteps=2, max_cycles=5)
+SAMPLING = Sampling(episodes=3, timesteps=2, max_cycles=5)  # two blocks
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pieces, "BLOCK", 2)
 
 
 def request(folder: Path, explainer: Explainer | str = "attention", sampling: Sampling = SAMPLING) -> Request:
@@ -73,7 +79,7 @@ class Spy:
         return seen
 
 
-PLAYED = ["play 10", "play 2"] * 2  # with messages, and without
+PLAYED = ["play 2", "play 1"] * 2  # with messages, and without
 
 
 @pytest.fixture
@@ -92,15 +98,15 @@ def ids(found: Sequence[Entry | Failed]) -> list[str]:
 def test_cached_pieces_are_not_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
     one, cache = make_bundle(name="one"), tmp_path / "cache"
     first = outcomes(cache, [request(one)])
-    assert spy.take() == [*PLAYED, "attention shared 10", "attention shared 2"]
+    assert spy.take() == [*PLAYED, "attention shared 2", "attention shared 1"]
     second = outcomes(cache, [request(one), request(one, "attention-rowmax")])
-    assert spy.take() == ["attention-rowmax 10", "attention-rowmax 2"]
+    assert spy.take() == ["attention-rowmax 2", "attention-rowmax 1"]
     assert ids(second[:1]) == ids(first)
-    longer = replace(SAMPLING, episodes=22)
+    longer = replace(SAMPLING, episodes=5)
     outcomes(cache, [request(one, sampling=longer)])
-    assert spy.take() == [*PLAYED, "attention shared 10", "attention shared 2"]
+    assert spy.take() == [*PLAYED, "attention shared 2", "attention shared 1"]
     assert ids(outcomes(cache, [request(one)], fresh=True)) == ids(first)
-    assert spy.take() == [*PLAYED, "attention shared 10", "attention shared 2"]
+    assert spy.take() == [*PLAYED, "attention shared 2", "attention shared 1"]
 
 
 def test_a_damaged_result_is_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:
@@ -142,7 +148,7 @@ def test_an_entry_is_made_when_its_pieces_are_finished(
     slow = replace(find_explainer("occlusion"), slow=True)
     requests = [request(folder, slow), request(folder)]
     found = outcomes(tmp_path / "one", requests, in_order=False)
-    groups = ["attention shared 10", "attention shared 2", "occlusion 10", "occlusion 2"]
+    groups = ["attention shared 2", "attention shared 1", "occlusion 2", "occlusion 1"]
     assert spy.take() == [*PLAYED, *groups]
     assert [each.explainer.name for each in found if isinstance(each, Entry)] == ["attention", "occlusion"]
     assert ids(outcomes(tmp_path / "two", requests)) == ids(found)[::-1]
@@ -166,8 +172,8 @@ def test_a_failure_does_not_stop_others_and_is_retried(
     first = outcomes(tmp_path / "cache", requests)
     failed, *others = first
     assert spy.take()[8:10] == [
-        "attention shared 10",
         "attention shared 2",
+        "attention shared 1",
     ]  # not picky's, which ran before
     assert isinstance(failed, Failed)
     assert "'picky' failed" in failed.error
@@ -177,7 +183,7 @@ def test_a_failure_does_not_stop_others_and_is_retried(
     again = outcomes(tmp_path / "cache", requests)
     assert ids(again[1:]) == ids(others)
     assert isinstance(again[0], Failed)
-    assert spy.take() == ["picky 10", "picky 2"]
+    assert spy.take() == ["picky 2", "picky 1"]
 
 
 def test_explainers_that_all_fail_everywhere_are_refused_before_explaining(
@@ -189,7 +195,7 @@ def test_explainers_that_all_fail_everywhere_are_refused_before_explaining(
     assert spy.take() == PLAYED
     found = outcomes(cache, [request(folder), request(folder, BAD["nan"])])
     assert [type(each) for each in found] == [Entry, Failed]
-    assert spy.take() == ["attention shared 10", "attention shared 2"]
+    assert spy.take() == ["attention shared 2", "attention shared 1"]
 
 
 def test_the_failing_explainer_of_a_group_is_named(

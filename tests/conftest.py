@@ -97,6 +97,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture
+def short_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 40 steps, where a test cannot say how long: in examples of documents, and after a training."""
+    from xmarl_envs import TASKS
+
+    for task in TASKS.values():
+        monkeypatch.setattr(task, "default_max_cycles", 40)
+
+
+@pytest.fixture
 def needs_torch() -> None:
     """For tests whose new processes import torch."""
     import torch  # noqa: F401

@@ -17,6 +17,7 @@ from xmarl_bench.policy import initial_policy, load_policy
 from xmarl_bench.policy.card import load_card
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_checkpoints_of_both_families_and_both_lambdas(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

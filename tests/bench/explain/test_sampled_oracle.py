@@ -116,8 +116,8 @@ def sampled(policy: Policy, observations: Tensor, there: Bools | None = None, se
 @pytest.mark.parametrize("n_agents", [3, 4])
 @pytest.mark.slow
 def test_several_layers_against_every_joint_choice(n_agents: int, own_kept: bool) -> None:
-    policy, observations = two_layers(), random_observations(6, n_agents, 6, 3)
-    there = np.ones((6, n_agents, n_agents), dtype=bool)
+    policy, observations = two_layers(), random_observations(3, n_agents, 6, 3)
+    there = np.ones((3, n_agents, n_agents), dtype=bool)
     found = sampled(policy, observations)
     sample = found.messages[Absence.ZERO] if own_kept else found.all_edges
     edges = Edges.of(there, own_kept=own_kept)

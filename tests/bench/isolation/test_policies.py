@@ -175,7 +175,7 @@ def test_a_policy_without_attention_says_so_here_too() -> None:
 
 
 def test_an_entry_of_a_code_policy_has_the_same_values_in_one_process(tmp_path: Path) -> None:
-    quick: dict[str, Any] = {"episodes": 2, "timesteps": 3, "max_cycles": 5, "behaviour_episodes": 1}
+    quick: dict[str, Any] = {"episodes": 2, "timesteps": 2, "max_cycles": 2, "behaviour_episodes": 1}
     apart = score(with_memory(), "gnn_explainer", **quick)
     here = score(with_memory(), "gnn_explainer", isolate=False, cache=tmp_path / "cache", **quick)
     assert apart.results == here.results

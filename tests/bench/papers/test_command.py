@@ -84,7 +84,8 @@ def test_a_study_of_which_everything_fails_names_the_first_failure(
 def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
     run_cli: RunCli, tmp_path: Path
 ) -> None:
-    folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.2)]
+    # Of the same weights, as checkpoints before the term begins.
+    folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.05)]
     scored, board, judged = (tmp_path / name for name in ("scored", "board", "judged"))
     assert run(run_cli, "main", folders, scored, "--no-figures").code == 0
     explainers = [word for name in plan.EXPLAINERS for word in ("--explainer", name)]
@@ -97,11 +98,11 @@ def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
     assert first == second
     none = run(run_cli, "main", folders, tmp_path / "none", "--no-figures", "--entries", tmp_path / "nowhere")
     assert_refused(none, "nowhere is of this study: score there first")
-    (entry,) = (board / "entries").glob("p0.2.attention.*.json")
+    (entry,) = (board / "entries").glob("p0.05.attention.*.json")
     entry.unlink()
     ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)
     assert ran.code == 1
-    assert "attention on p0.2: has no entry with these states" in ran.err
+    assert "attention on p0.05: has no entry with these states" in ran.err
     copied = next((board / "entries").glob("p0.0.attention.*.json"))
     (board / "entries" / "copy.json").write_bytes(copied.read_bytes())
     ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)

@@ -11,7 +11,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.score import Failed
 
-Key = tuple[object, ...]
+Key = tuple[object, ...]  # with name and weights: two checkpoints of unlike names may have the same weights
 
 
 def existing_entries(requests: Sequence[Request], folder: Path) -> list[Entry | Failed]:
@@ -48,6 +48,7 @@ def _key_of_request(request: Request) -> Key:
         for cell in request.cells
     )
     return (
+        request.card.name,
         request.card.weights_sha256,
         request.explainer.name,
         cells,
@@ -59,4 +60,11 @@ def _key_of_request(request: Request) -> Key:
 def _key_of_entry(entry: Entry) -> Key:
     protocol = entry.protocol
     cells = tuple((cell.task, cell.n_agents, cell.max_cycles) for cell in entry.results)
-    return entry.policy.weights_sha256, entry.explainer.name, cells, protocol.seeds, protocol.timesteps
+    return (
+        entry.policy.name,
+        entry.policy.weights_sha256,
+        entry.explainer.name,
+        cells,
+        protocol.seeds,
+        protocol.timesteps,
+    )

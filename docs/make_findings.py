@@ -27,7 +27,7 @@ from xmarl_envs import TASKS
 from xmarl_bench.board.answer import answer_on_term, difference, effect_of
 from xmarl_bench.board.ranking import DIGITS
 from xmarl_bench.board.regulariser import compared, families_of, kind_of, score_of, task_metric_of, values_of
-from xmarl_bench.board.robustness import answer_by, others_with_term, with_gated_pairs
+from xmarl_bench.board.robustness import answer_by, others_with_term, rests_on_zero, with_gated_pairs
 from xmarl_bench.board.scores import Scores
 from xmarl_bench.counted import counted
 from xmarl_bench.metrics.absence import Absence
@@ -90,7 +90,12 @@ def who_leads(scores: Scores) -> Finding:
         dots(axis, scores, [*CONTROLS, *reversed(scores.explainers)])
         axis.set_xlabel(f"{axis.get_xlabel()}; controls are grey")
 
-    title = "Several explainers lead, and none leads surely" if others else f"{best} leads surely"
+    if others:
+        title = "Several explainers lead, and none leads surely"
+    else:
+        title = (
+            f"{best} leads, by the absence model zero" if rests_on_zero(scores) else f"{best} leads surely"
+        )
     return Finding("leaders", title, text, draw, "Message fidelity of every explainer and four controls")
 
 

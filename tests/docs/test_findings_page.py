@@ -68,11 +68,15 @@ def test_families_are_compared_if_there_are_two(script: dict[str, Any]) -> None:
     assert said.endswith("Spearman's correlation of both orders is 1.00.")
 
 
-def test_a_clear_winner_leads_surely_and_a_tie_does_not(script: dict[str, Any]) -> None:
+def test_a_clear_winner_leads_surely_and_a_tie_does_not(
+    script: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     clear = script["who_leads"](scores({"attention": 0.9, "occlusion": 0.5}))
     assert clear.title == "attention leads surely"
     assert "`attention` leads" in clear.text
     assert "The next, `occlusion`, is 0.400 (0.400 to 0.400) below." in clear.text
+    monkeypatch.setitem(script["who_leads"].__globals__, "rests_on_zero", lambda _: True)
+    assert script["who_leads"](scores({"attention": 0.9, "occlusion": 0.5})).title.endswith("model zero")
     tie = script["who_leads"](scores({"attention": 0.9, "occlusion": 0.9}))
     assert tie.title == "Several explainers lead, and none leads surely"
     assert "`attention` and `occlusion` lead" in tie.text

@@ -20,6 +20,7 @@ from xmarl_bench.board.regulariser import (
 )
 from xmarl_bench.board.scores import Scores
 from xmarl_bench.metrics.absence import Absence
+from xmarl_bench.metrics.statistics import Difference
 from xmarl_bench.metrics.table import ORDER, SUCCESS, UNDER_ABSENCES, by_name
 
 
@@ -34,20 +35,31 @@ def lead_without_zero(scores: Scores) -> str:
 
     Empty without a lead, or if the other models were not measured.
     """
+    found = _without_zero(scores)
+    if found is None:
+        return ""
+    rests = "rests on" if rests_on_zero(scores) else "does not rest on"
+    shown = difference({"difference": found.value, "interval": found.interval})
+    first, second = scores.explainers[0], scores.ranking["lead"]["over"]
+    return (
+        f"That lead {rests} the absence model `{Absence.ZERO}`, which Shapley values and occlusion assume "
+        f"themselves: by the mean of the other three, `{first}` less `{second}` is {shown}."
+    )
+
+
+def rests_on_zero(scores: Scores) -> bool:
+    """Whether the other absence models do not show the first explainer's lead."""
+    found = _without_zero(scores)
+    return found is not None and found.value is not None and (found.holds_zero or found.value < 0.0)
+
+
+def _without_zero(scores: Scores) -> Difference | None:
     lead = scores.ranking["lead"]
     if lead is None or lead["interval"] is None:
-        return ""
-    first, second = scores.explainers[0], lead["over"]
+        return None
     _, *others = UNDER_ABSENCES
-    found = scores.difference_over(others, first, second)
-    if found.value is None or found.interval is None:
-        return ""
-    rests = "That lead rests on" if found.holds_zero or found.value < 0.0 else "That lead does not rest on"
-    shown = difference({"difference": found.value, "interval": found.interval})
-    return (
-        f"{rests} the absence model `{Absence.ZERO}`, which Shapley values and occlusion assume themselves: "
-        f"by the mean of the other three, `{first}` less `{second}` is {shown}."
-    )
+    found = scores.difference_over(others, scores.explainers[0], lead["over"])
+    return None if found.value is None or found.interval is None else found
 
 
 def others_with_term(families: Sequence[Json], name: str, first: str) -> str:

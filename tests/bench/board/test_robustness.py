@@ -9,7 +9,13 @@ import pytest
 from tests.helpers.made_entries import made_entry
 from xmarl_bench.board import board_of
 from xmarl_bench.board.regulariser import families_of
-from xmarl_bench.board.robustness import answer_by, lead_without_zero, others_with_term, with_gated_pairs
+from xmarl_bench.board.robustness import (
+    answer_by,
+    lead_without_zero,
+    others_with_term,
+    rests_on_zero,
+    with_gated_pairs,
+)
 from xmarl_bench.board.scores import Scores
 from xmarl_bench.metrics.table import ORDER, UNDER_ABSENCES
 
@@ -38,6 +44,7 @@ def board(levels: dict[str, tuple[float, ...]], n_policies: int = 3) -> dict[str
 def test_a_lead_is_told_without_zero(second: tuple[float, ...], said: str) -> None:
     scores = Scores.of(board({"a": (0.9, 0.5, 0.5, 0.5), "b": second}))
     assert lead_without_zero(scores).startswith(said)
+    assert rests_on_zero(scores) == ("lead rests on" in said)
     _, lead, rests, *_ = answer_by(scores)
     assert lead.startswith("The next, `b`, is") and rests.startswith(said)
 
@@ -52,7 +59,7 @@ def test_every_ranking_tells_what_its_lead_rests_on() -> None:
 
 def test_without_a_lead_nothing_is_added() -> None:
     scores = Scores.of(board({"a": (0.9, 0.5, 0.5, 0.5)}))
-    assert lead_without_zero(scores) == ""
+    assert lead_without_zero(scores) == "" and not rests_on_zero(scores)
     assert not any(" on the absence model" in each for each in answer_by(scores))
 
 

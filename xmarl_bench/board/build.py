@@ -35,12 +35,13 @@ TABLES = ("leaderboard.csv", "leaderboard.json")
 ROW_DEPTH = 6  # depth of a table's rows in the board's JSON
 
 
-def build_board(folder: Path) -> Path:
+def build_board(folder: str | Path) -> Path:
     """Derive everything from FOLDER/entries/*.json; returns FOLDER/leaderboard.json.
 
     Raises InputError, before writing, if an entry is invalid, and if the disk is full or the folder cannot be
     written to. Builds of one folder wait for each other.
     """
+    folder = Path(folder)
     with locked(folder, LOCK, wait=True):
         made = derived(folder)
         _publish(folder, {path: data for path, data in made.files.items() if _bytes(folder / path) != data})

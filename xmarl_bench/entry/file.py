@@ -39,8 +39,9 @@ def entry_text(entry: Entry) -> bytes:
     return _lines(entry.model_dump(mode="json"))
 
 
-def write_entry(folder: Path, entry: Entry) -> Path:
+def write_entry(folder: str | Path, entry: Entry) -> Path:
     """Write an entry's file, and its shared part unless another entry has written it."""
+    folder = Path(folder)
     own, shared = split(entry.model_dump(mode="json"))
     part = _lines(shared)
     digest = hashlib.sha256(part).hexdigest()
@@ -67,8 +68,9 @@ def _shared_path(folder: Path, digest: str) -> Path:
     return folder / SHARED / f"{digest}.json"
 
 
-def read_entry(path: Path) -> Entry:
+def read_entry(path: str | Path) -> Entry:
     """Read and validate one entry. Raises InputError if it is invalid or its id does not fit its content."""
+    path = Path(path)
     try:
         return parse_entry(path.read_bytes(), path.parent)
     except OSError as error:

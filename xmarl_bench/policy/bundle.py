@@ -34,14 +34,14 @@ LARGEST_TEAM_TRIED = 8  # agents; networks of a bundle do not depend on their nu
 Weights = dict[str, NDArray[np.float32]]
 
 
-def save_policy(folder: Path, policy: nn.Module, **card: Any) -> PolicyCard:
+def save_policy(folder: str | Path, policy: nn.Module, **card: Any) -> PolicyCard:
     """Write weights and card into `folder`, which is created if missing. Each file is written atomically.
 
     policy: a network of `build_policy`; also compiled, in DataParallel, on another device or in another
         precision, because weights are written as float32. Raises InputError for other networks.
     """
     record, weights = packed(policy, **card)
-    write_bundle(folder, record, weights)
+    write_bundle(Path(folder), record, weights)
     return record
 
 
@@ -64,12 +64,13 @@ def write_bundle(folder: Path, card: PolicyCard, weights: bytes) -> None:
 
 
 def load_policy(
-    bundle: Path, card: PolicyCard | None = None
+    bundle: str | Path, card: PolicyCard | None = None
 ) -> tuple[GraphPolicy | LayeredPolicy, PolicyCard]:
     """Rebuild the network of a bundle, in evaluation mode. card: the bundle's card, if already loaded.
 
     Raises InputError if a file is missing, truncated or does not fit the card, or if a weight is not finite.
     """
+    bundle = Path(bundle)
     if card is None:
         card = load_card(bundle)
     weights = parse_weights(read_member(bundle, WEIGHTS), card, str(bundle / WEIGHTS))

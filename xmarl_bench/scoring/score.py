@@ -70,7 +70,7 @@ def score(
     progress: bool = False,
     submitter: str | None = None,
     trust_code: bool = False,
-    cache: Path | None = None,
+    cache: str | Path | None = None,
     isolate: bool = True,
     answer_seconds: float = UNLIMITED.answer_seconds,
 ) -> Entry:
@@ -116,7 +116,7 @@ def score(
         parallel_episodes=parallel_episodes,
         progress=progress,
         submitter=submitter,
-        cache=None if cache is None or not isolate else Cache(cache),
+        cache=None if cache is None or not isolate else Cache(Path(cache)),
     )
     try:
         return next(entries_of(outcomes))

@@ -91,8 +91,6 @@ def convert(
     trust_code: TrustCode = False,
 ) -> None:
     """Convert weights saved by other tools to a policy bundle. Executes nothing in the file."""
-    from pydantic import ValidationError
-
     from xmarl_bench.cli.fitted_table import print_table
     from xmarl_bench.counted import counted
     from xmarl_bench.errors import InputError
@@ -145,19 +143,15 @@ def convert(
     else:
         record, ours = reading.renamed_weights(weights, tensors, record, key_map)
     policy = build_policy(record, reading.dense(ours, weight_shapes(record)))
-    try:
-        card, data = packed(
-            policy,
-            name=out.resolve().name if name is None else name,
-            task=task,
-            n_agents=agents,
-            attention_entropy=attention_entropy,
-            training_seed=training_seed,
-            training={"converted_from": weights.name} | ({} if source is None else {"library": source}),
-        )
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise InputError(f"the policy's {first['loc'][0]} is invalid: {first['msg']}.") from None
+    card, data = packed(
+        policy,
+        name=out.resolve().name if name is None else name,
+        task=task,
+        n_agents=agents,
+        attention_entropy=attention_entropy,
+        training_seed=training_seed,
+        training={"converted_from": weights.name} | ({} if source is None else {"library": source}),
+    )
     check_fit(card, Cell(task, agents))
     write_bundle(out, card, data)
     left_out = f", {len(tensors) - len(ours)} dropped" if source is None else f" from {source}'s actor"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
@@ -21,7 +22,7 @@ from xmarl_bench.policy.graph import FixedGraph
 from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS, check_weights, read_member
 from xmarl_bench.records.files import write_atomically
-from xmarl_bench.records.strict_json import shown
+from xmarl_bench.records.strict_json import first_error, shown
 from xmarl_bench.reproducible import torch_defaults
 
 if TYPE_CHECKING:
@@ -46,16 +47,21 @@ def save_policy(folder: str | Path, policy: nn.Module, **card: Any) -> PolicyCar
 
 
 def packed(policy: nn.Module, **card: Any) -> tuple[PolicyCard, bytes]:
-    """The card and the weights that `save_policy` writes."""
+    """The card and the weights that `save_policy` writes. Raises InputError if the card is invalid."""
     from safetensors.torch import save
 
     from xmarl_bench.policy.build import closed_network, weights_of
 
     weights = save(weights_of(policy))
     architecture = closed_network(policy).architecture
-    return PolicyCard(
-        architecture=architecture, weights_sha256=hashlib.sha256(weights).hexdigest(), **card
-    ), weights
+    try:
+        record = PolicyCard(
+            architecture=architecture, weights_sha256=hashlib.sha256(weights).hexdigest(), **card
+        )
+    except ValidationError as error:
+        problem, where = first_error(error)
+        raise InputError(f"the policy's {where} is invalid: {problem}.") from None
+    return record, weights
 
 
 def write_bundle(folder: Path, card: PolicyCard, weights: bytes) -> None:

@@ -89,3 +89,18 @@ def test_other_networks_are_refused(change: Callable[[Made], nn.Module], said: s
     with pytest.raises(InputError, match=said):
         save_policy(tmp_path / "saved", policy, **CARD)
     assert not (tmp_path / "saved").exists()
+
+
+@pytest.mark.parametrize(
+    ("field", "said"),
+    [
+        ({"name": "my policy"}, "name is invalid: String should match"),
+        ({"n_agents": 0}, "n_agents is invalid"),
+        ({"training_seed": 1.5}, "training_seed is invalid"),
+        ({"lambda": 0.1}, "lambda is invalid: Extra inputs"),
+    ],
+)
+def test_an_invalid_card_is_not_saved(field: dict[str, object], said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said):
+        save_policy(tmp_path / "saved", small_policy(6, 2), **CARD | field)
+    assert not (tmp_path / "saved").exists()

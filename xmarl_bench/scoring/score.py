@@ -132,6 +132,11 @@ def _opened(
 ) -> tuple[Policy, PolicyCard]:
     if isinstance(policy, str | Path):
         return ask_policy(str(policy), isolation, trust_code=trust_code)
+    if not isinstance(policy, PolicyModule | tuple):
+        raise InputError(
+            f"a {type(policy).__name__} is not a policy to score: give a name, the folder of a bundle, the "
+            f"result of load_policy, or a network as PolicyModule."
+        )
     if isolation is not None and (isinstance(policy, PolicyModule) or is_code_here(*policy)):
         return isolate_policy(policy, isolation)
     return open_module(policy, origin_of(policy.network)) if isinstance(policy, PolicyModule) else policy

@@ -222,6 +222,13 @@ def test_options_out_of_range_are_refused(
         score(make_bundle(), "attention", **options)  # type: ignore[arg-type]
 
 
+def test_other_objects_than_policies_are_refused(make_bundle: MakeBundle) -> None:
+    network, _ = load_policy(make_bundle())
+    for policy in (network, None):
+        with pytest.raises(InputError, match="is not a policy to score: give"):
+            score(policy, "attention")  # type: ignore[arg-type]
+
+
 def test_slow_explainers_get_few_states_and_others_also_all(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
     selected = [(policy, card, (Cell(card.task, 3),))]

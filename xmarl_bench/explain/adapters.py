@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypedDict, Unpack, get_args, overload
+from typing import Any, Final, TypedDict, Unpack, get_args, overload
 
 import torch
 from torch import Tensor
@@ -56,20 +56,21 @@ class Declared(TypedDict, total=False):
 
 FLAGS = ("stochastic", "slow", "batched", "binary", "signed", "needs_fit")
 DECLARATIONS = ("name", "summary", "hyperparameters", "accesses", "absence", "node_importance", *FLAGS)
+_ABSENT: Final = object()  # as None may be what a caller's variable holds by mistake
 
 
 @overload
 def as_explainer(thing: object, /, **declared: Unpack[Declared]) -> Explainer: ...
 @overload
 def as_explainer(**declared: Unpack[Declared]) -> Callable[[object], Explainer]: ...
-def as_explainer(thing: object = None, /, **declared: Unpack[Declared]) -> Any:
+def as_explainer(thing: object = _ABSENT, /, **declared: Unpack[Declared]) -> Any:
     """Make an `Explainer` of a function, a class or object that explains, or an algorithm of PyG.
 
     Also a decorator, with or without arguments. A class is instantiated without arguments; an object explains
     by its method `explain` or by being called, and may declare by attributes, which arguments here override.
     An `Explainer` is returned unchanged. Raises InputError for anything else, and for invalid declarations.
     """
-    if thing is None:
+    if thing is _ABSENT:
         return lambda decorated: as_explainer(decorated, **declared)
     if isinstance(thing, Explainer):
         if declared:

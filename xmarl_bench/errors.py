@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from operator import index
 
 MANY = 50  # names in a message
 
@@ -23,6 +24,14 @@ def failures_named(what: str, remedy: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:
         reason = f"{type(error).__name__}: {error}".rstrip(". \n")
         raise InputError(f"{what} ({reason}): {remedy}.") from error
+
+
+def whole_number(name: str, value: object) -> int:
+    """The value as an int, also of numpy's whole numbers. Raises InputError for anything else."""
+    try:
+        return int(index(value))  # type: ignore[arg-type]
+    except TypeError:
+        raise InputError(f"{name} must be a whole number, got {value!r}: give one.") from None
 
 
 def unknown(kind: str, name: str, choices: Iterable[str], hint: str = "") -> InputError:

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, whole_number
 
 MOST_PER_CORE = 16  # processes of this machine; more only take memory
 BackendName = Literal["loky", "ray", "dask"]
@@ -21,7 +21,7 @@ class Workers:
     address: str | None = None  # of a running Ray or Dask cluster; None: we start one on this machine
 
     def __post_init__(self) -> None:
-        if self.jobs is not None and self.jobs < 1:
+        if self.jobs is not None and whole_number("jobs", self.jobs) < 1:
             raise InputError(
                 f"jobs must be at least 1, got {self.jobs}: give the number of processes to use."
             )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, whole_number
 from xmarl_bench.reproducible import episode_seeds
 from xmarl_bench.tasks.interface import TeamTask
 from xmarl_bench.tasks.sources import TaskSource, known_task
@@ -24,6 +24,7 @@ class Cell:
     source: TaskSource = field(init=False, repr=False, compare=False)  # a worker process knows no names
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "n_agents", whole_number("n_agents", self.n_agents))
         object.__setattr__(self, "source", known_task(self.task))
         self.make()
 
@@ -43,12 +44,17 @@ class Sampling:
     given: tuple[int, ...] | None = None  # environment seeds in place of those of `seed`
 
     def __post_init__(self) -> None:
+        for name in ("episodes", "seed"):
+            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
         episode_seeds(self.seed, self.episodes)
         if self.given is not None and len(self.given) != self.episodes:
             raise InputError(f"got {len(self.given)} seeds for {self.episodes} episodes: give one for each.")
         for name in ("timesteps", "max_cycles"):
             value = getattr(self, name)
-            if value is not None and value < 1:
+            if value is None:
+                continue
+            object.__setattr__(self, name, whole_number(name, value))
+            if value < 1:
                 raise InputError(
                     f"{name} must be at least 1, got {value}: choose a larger one, or leave it out."
                 )
@@ -59,8 +65,8 @@ class Sampling:
 
 
 def check_parallel(parallel_episodes: int) -> None:
-    """Raise InputError if parallel_episodes < 1."""
-    if parallel_episodes < 1:
+    """Raise InputError if parallel_episodes is no whole number from 1 on."""
+    if whole_number("parallel_episodes", parallel_episodes) < 1:
         raise InputError(
             f"parallel_episodes must be at least 1, got {parallel_episodes}: "
             f"give the number of episodes to step in parallel."

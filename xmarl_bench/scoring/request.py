@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES
+from xmarl_bench.errors import whole_number
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import GraphPolicy, Policy, PolicyCard
 from xmarl_bench.policy.tensors import check_tensors
@@ -31,6 +32,9 @@ class Request:
         check_tensors(self.policy, self.card.name)
         for cell in self.cells:
             check_fit(self.card, cell)
+        if self.behaviour_episodes is not None:
+            whole = whole_number("behaviour_episodes", self.behaviour_episodes)
+            object.__setattr__(self, "behaviour_episodes", whole)
         check_behaviour_episodes(self.behaviour_episodes)
 
     def behaviours(self, cell: Cell) -> int:

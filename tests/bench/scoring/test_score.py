@@ -6,6 +6,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import pytest
 from xmarl_envs import TASKS
 
@@ -213,13 +214,36 @@ def test_an_explainer_that_becomes_invalid_yields_no_entry(make_bundle: MakeBund
         ({"task": "blind_passage_v0"}, "observations of 6 entries"),
         ({"task": "nowhere_v0"}, "unknown task 'nowhere_v0'"),
         ({"n_agents": 0}, "got 0"),
+        ({"episodes": 2.0}, "episodes must be a whole number, got 2.0"),
+        ({"seed": "0"}, "seed must be a whole number, got '0'"),
+        ({"timesteps": 2.5}, "timesteps must be a whole number"),
+        ({"max_cycles": 2.5}, "max_cycles must be a whole number"),
+        ({"jobs": 1.5}, "jobs must be a whole number"),
+        ({"parallel_episodes": 1.5}, "parallel_episodes must be a whole number"),
+        ({"behaviour_episodes": 0.5}, "behaviour_episodes must be a whole number"),
+        ({"n_agents": 2.5}, "n_agents must be a whole number"),
     ],
 )
 def test_options_out_of_range_are_refused(
-    options: dict[str, int | str], said: str, make_bundle: MakeBundle
+    options: dict[str, float | str], said: str, make_bundle: MakeBundle
 ) -> None:
     with pytest.raises(InputError, match=said):
         score(make_bundle(), "attention", **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_whole_numbers_of_numpy_are_numbers(make_bundle: MakeBundle) -> None:
+    numbers = {
+        "n_agents": 2,
+        "episodes": 1,
+        "timesteps": 2,
+        "max_cycles": 5,
+        "behaviour_episodes": 0,
+        "seed": 1,
+    }
+    of_numpy = {name: np.int64(number) for name, number in numbers.items()}
+    entries = [score(make_bundle(), "random", **given) for given in (numbers, of_numpy)]
+    assert bytes_of(entries[0]) == bytes_of(entries[1])
 
 
 def test_other_objects_than_policies_are_refused(make_bundle: MakeBundle) -> None:

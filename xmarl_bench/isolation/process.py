@@ -25,7 +25,7 @@ from typing import Any
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.fork_server import fork_keeper
 from xmarl_bench.isolation.limits import UNIX, Limits
-from xmarl_bench.isolation.walls import Wall, environment, in_bubblewrap, python_folders, search_path
+from xmarl_bench.isolation.walls import Wall, environment, in_bubblewrap, python_folders
 from xmarl_bench.records.strict_json import parse_json, shown
 
 MAX_HEADER, MAX_MASKS = 1024 * 1024, 1 << 30
@@ -70,7 +70,8 @@ class Stranger:
             "stranger": stranger,
             "environment": environment(wall),
             "folder": str(Path.cwd()),
-            "path": [str(Path.cwd()), *search_path()],
+            # As here, where "" is the working directory: its files hide no modules unless they do so here.
+            "path": [str(Path(entry).absolute()) for entry in sys.path],
             "private": wall != "bubblewrap",  # which has a folder /tmp of its own
             "home": wall == "landlock",
         }

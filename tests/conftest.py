@@ -162,7 +162,15 @@ def third_party_code_in_this_process(request: pytest.FixtureRequest, monkeypatch
 
 
 @pytest.fixture
-def run_cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> RunCli:
+def as_a_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that call a program's `main`: what it sets in the environment ends with the test."""
+    monkeypatch.setenv("PYTHONSAFEPATH", "1")
+
+
+@pytest.fixture
+def run_cli(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, as_a_program: None
+) -> RunCli:
     """run_cli("score", "--task", ...) -> exit code and what was printed; an uncaught exception propagates."""
     from xmarl_bench.cli import main as cli
     from xmarl_bench.cli import program

@@ -25,6 +25,8 @@ def run(name: str, app: Callable[[], object], interrupted: str) -> None:
     Exit code 2 for invalid input and for a file or an output that cannot be read or written, 1 for a closed
     pipe, 130 after an interrupt.
     """
+    # For workers, started with `python -m`: files of the working directory hide no modules there either.
+    os.environ.setdefault("PYTHONSAFEPATH", "1")
     try:
         _check_arguments(sys.argv[1:])
         if isinstance(sys.stdout, io.TextIOWrapper):  # prints every file name, as stderr does

@@ -22,7 +22,7 @@ from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import GraphPolicy, load_policy
 from xmarl_bench.policy.card import load_card
 
-pytestmark = pytest.mark.usefixtures("short_episodes")
+pytestmark = pytest.mark.usefixtures("as_a_program", "short_episodes")
 RUN = "discovery-n3-residual-lambda0-seed0"
 
 

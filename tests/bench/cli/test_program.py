@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
@@ -15,6 +16,7 @@ from xmarl_baselines.training.command import main as train
 from xmarl_bench.cli.main import main as bench
 from xmarl_bench.cli.program import run
 
+pytestmark = pytest.mark.usefixtures("as_a_program")
 Main = Callable[[], None]
 COMMANDS = [
     (bench, ["--version"]), (bench, ["--help"]), (bench, ["list", "tasks"]),
@@ -31,6 +33,17 @@ def end(main: Main, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> ob
     except SystemExit as stop:
         return stop.code
     return 0
+
+
+@pytest.mark.slow
+def test_files_of_the_working_directory_hide_no_modules_from_workers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("PYTHONSAFEPATH")
+    (tmp_path / "random.py").write_text("raise SystemExit(1)")
+    worker = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import random'], check=True)"
+    program = f"from xmarl_bench.cli.program import run; run('name', lambda: exec({worker!r}), '')"
+    subprocess.run([sys.executable, "-P", "-c", program], cwd=tmp_path, check=True, timeout=60)
 
 
 @pytest.mark.parametrize("main", [bench, train])

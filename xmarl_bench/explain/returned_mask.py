@@ -21,7 +21,7 @@ def checked_mask(name: str, mask: object, n_steps: int, n_agents: int) -> Tensor
     low, high = float(numbers.min()), float(numbers.max())
     if low < 0.0 or high > 1.0:
         raise InputError(
-            f"explainer {name!r} returned mask values from {low:.6g} to {high:.6g}: scale them to [0, 1]."
+            f"explainer {name!r} returned mask values from {low} to {high}: scale them to [0, 1]."
         )
     return numbers.to(dtype=torch.float32, copy=True)
 

@@ -46,6 +46,7 @@ REFUSED: dict[str, tuple[Callable[[Tensor], Tensor], str]] = {
     "complex": (lambda mask: mask.to(torch.complex64), "torch.complex64"),
     "bool": (lambda mask: mask > 0, "torch.bool"),
     "NaN of a liar": (lambda mask: (mask * torch.nan).as_subclass(Liar), "NaN or infinity in 18 of 18"),
+    "just above one": (lambda mask: mask * 0 + 1 + 2**-20, "mask values from 1.00000095.* to 1.00000095"),
     "range of a liar": (lambda mask: (mask + 7).as_subclass(Liar), "mask values from 7.5 to 7.5"),
     "shape of a liar": (lambda mask: mask[:, :2].as_subclass(Liar), r"a mask of shape \(2, 2, 3\)"),
     "dtype of a liar": (lambda mask: mask.int().as_subclass(Liar), "a mask of torch.int32"),

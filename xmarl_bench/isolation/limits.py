@@ -22,7 +22,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value is not None and value <= 0:
+            if value is not None and not value > 0:  # NaN is not
                 raise InputError(f"{name} must be more than 0, got {value}: give a positive number.")
 
     def apply(self) -> None:

@@ -195,6 +195,8 @@ def test_limits_hold_and_cannot_be_raised(act: str, said: str, tmp_path: Path) -
 def test_limits_must_be_above_zero() -> None:
     with pytest.raises(InputError, match="cpu_seconds must be more than 0, got 0"):
         Limits(cpu_seconds=0)
+    with pytest.raises(InputError, match="answer_seconds must be more than 0, got nan"):
+        Limits(answer_seconds=float("nan"))
 
 
 @pytest.mark.parametrize("wall", ["bubblewrap", "landlock"])

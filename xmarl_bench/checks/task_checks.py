@@ -70,7 +70,8 @@ def ends(subject: TaskSubject) -> str:
 
 def repeats(subject: TaskSubject) -> str:
     for one, other in zip(subject.together, subject.played(1), strict=True):
-        same = one.reward == other.reward and np.array_equal(one.observations, other.observations)
+        same_reward = np.array_equal(one.reward, other.reward, equal_nan=True)
+        same = same_reward and np.array_equal(one.observations, other.observations)
         if not same:
             raise Failed(
                 f"episode {one.seed} differs when it is played alone and beside others: draw all random "

@@ -39,6 +39,12 @@ class Infinite(worlds.Line):
         return seen, dict.fromkeys(rewards, np.inf), *rest
 
 
+class Undefined(worlds.Line):
+    def step(self, actions: Any) -> Any:
+        seen, rewards, *rest = super().step(actions)
+        return seen, dict.fromkeys(rewards, np.nan), *rest
+
+
 def late_noise(n_agents: int) -> LateNoise:
     return LateNoise(n_agents)
 
@@ -51,6 +57,10 @@ def infinite(n_agents: int) -> Infinite:
     return Infinite(n_agents)
 
 
+def undefined(n_agents: int) -> Undefined:
+    return Undefined(n_agents)
+
+
 @pytest.fixture(autouse=True)
 def nothing_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "_opened", {})
@@ -58,7 +68,12 @@ def nothing_opened(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("factory", "check"),
-    [(late_noise, "episodes repeat"), (alike, "seeds differ"), (infinite, "finite rewards")],
+    [
+        (late_noise, "episodes repeat"),
+        (alike, "seeds differ"),
+        (infinite, "finite rewards"),
+        (undefined, "finite rewards"),
+    ],
 )
 def test_faults_are_found(factory: Callable[[int], Any], check: str) -> None:
     cell = Cell(open_task(factory).name, 3)

@@ -68,6 +68,7 @@ def verify(
     not; 2: something could not be run. --by signs each entry as soon as it has passed: after an interruption,
     the same command with --resume goes on. Entries of one policy by our explainers are scored together.
     """
+    import math
     import sys
 
     from xmarl_bench.cli import tables
@@ -86,6 +87,8 @@ def verify(
         raise unknown("tier", tier, Tier)
     if resume and by is None:
         raise InputError("--resume skips the entries that --by has signed: give --by.")
+    if not math.isfinite(memory):
+        raise InputError(f"memory must be finite, got {memory}: give a number of GiB.")
     limits = Limits(cpu_seconds=cpu_seconds, memory_bytes=int(memory * 2**30), answer_seconds=answer_seconds)
     options = Options(Tier(tier), episodes, seed, explainer, trust_code, limits, fresh_from=fresh_from)
     workers = Workers(jobs, backend, address)

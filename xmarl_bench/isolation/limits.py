@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 
@@ -22,8 +23,10 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value is not None and not value > 0:  # NaN is not
-                raise InputError(f"{name} must be more than 0, got {value}: give a positive number.")
+            if value is not None and not 0 < value < math.inf:
+                raise InputError(
+                    f"{name} must be more than 0 and finite, got {value}: give a positive number."
+                )
 
     def apply(self) -> None:
         """Apply the limits to this process and its children, before it imports third-party code."""

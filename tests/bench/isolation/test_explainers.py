@@ -192,11 +192,12 @@ def test_limits_hold_and_cannot_be_raised(act: str, said: str, tmp_path: Path) -
     assert said in done.stderr
 
 
-def test_limits_must_be_above_zero() -> None:
-    with pytest.raises(InputError, match="cpu_seconds must be more than 0, got 0"):
+def test_limits_must_be_above_zero_and_finite() -> None:
+    with pytest.raises(InputError, match="cpu_seconds must be more than 0 and finite, got 0"):
         Limits(cpu_seconds=0)
-    with pytest.raises(InputError, match="answer_seconds must be more than 0, got nan"):
-        Limits(answer_seconds=float("nan"))
+    for value in (float("nan"), float("inf")):
+        with pytest.raises(InputError, match=f"answer_seconds must be more than 0 and finite, got {value}"):
+            Limits(answer_seconds=value)
 
 
 @pytest.mark.parametrize("wall", ["bubblewrap", "landlock"])

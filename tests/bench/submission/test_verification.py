@@ -250,6 +250,7 @@ def test_verify_exits_with_1_for_findings_and_2_if_it_cannot_run(
     assert sorted(each["passed"] for each in json.loads(ran.out)) == [False, True]
     assert [file.name for file in (tmp_path / "out").glob("*.json")] == [entries[1].file_name]
     assert run_cli("verify", path, "--tier", "deep").code == 2
+    assert "memory must be finite, got inf" in run_cli("verify", path, "--memory", "inf").err
     assert run_cli("verify", tmp_path / "none.zip").code == 2
     broken = tmp_path / "broken.json"
     broken.write_text("{}")

@@ -58,6 +58,11 @@ def read_named(
                 raise InputError(f"{name} holds no entries: give a folder with files of entries.")
         elif is_path or path.is_file():
             entries = [read_entry(path)]
+        elif not by_explainer():
+            raise InputError(
+                f"{folder} holds no entries, so {name!r} names no explainer there: give another folder "
+                f"(--entries), or files or folders of entries."
+            )
         else:
             hint = "or give a file or folder of entries"
             raise unknown(f"explainer with entries in {folder}", name, sorted(by_explainer()), hint)

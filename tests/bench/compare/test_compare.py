@@ -258,6 +258,10 @@ def test_invalid_input_is_refused_with_one_sentence(run_cli: RunCli, entry: Entr
     for arguments, said in [
         ((file, tmp_path / "missing.json"), "missing.json"),
         (("one", "tow", "--entries", folder), "unknown explainer with entries in"),
+        (
+            ("one", "two", "--entries", tmp_path / "none"),
+            "none holds no entries, so 'one' names no explainer",
+        ),
         ((file, file), "needs two explainers"),
         ((file, "--plot", "picture.bmp"), "a name that ends in one of"),
     ]:

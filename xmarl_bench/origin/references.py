@@ -99,7 +99,11 @@ def load_reference(reference: str) -> tuple[Any, Origin]:
     found: Any = module
     for part in name.split("."):
         if not hasattr(found, part):
-            raise InputError(f"{place} has no {name!r}: give one of {', '.join(_public(module)) or 'none'}.")
+            names = ", ".join(_public(module))
+            others = (
+                f"give one of {names}" if names else "it defines no names, so give another file or module"
+            )
+            raise InputError(f"{place} has no {name!r}: {others}.")
         found = getattr(found, part)
     if origin is not None:
         return found, origin

@@ -117,6 +117,7 @@ def test_a_file_does_not_shadow_a_module(file: Path) -> None:
     [
         ("{folder}/missing.py:x", "cannot be read"),
         ("{folder}/own.py:nothing", "has no 'nothing': give one of nearest, Scaled"),
+        ("{folder}/empty.py:x", "has no 'x': it defines no names"),
         ("{folder}/own.py:", "is not a reference to an object"),
         (":x", "is not a reference to an object"),
         ("no_such_module:x", "ModuleNotFoundError"),
@@ -127,6 +128,7 @@ def test_a_file_does_not_shadow_a_module(file: Path) -> None:
     ],
 )
 def test_a_failure_to_load_is_one_sentence(reference: str, said: str, file: Path) -> None:
+    (file.parent / "empty.py").touch()
     (file.parent / "broken.py").write_text("1 / 0\n")
     (file.parent / "stops.py").write_text("raise SystemExit(3)\n")
     with pytest.raises(InputError, match=said) as raised:

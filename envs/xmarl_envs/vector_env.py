@@ -5,6 +5,7 @@ environment is one with a single episode.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ class VectorEnv:
     ) -> None:
         self.task = task
         self.n_episodes = n_episodes
-        self.max_cycles = task.default_max_cycles if max_cycles is None else max_cycles
+        self.max_cycles = task.default_max_cycles if max_cycles is None else index(max_cycles)
         if self.max_cycles < 1:
             raise ValueError(f"max_cycles must be at least 1, got {max_cycles}.")
         self.world = World(task, n_episodes, copies_per_space)

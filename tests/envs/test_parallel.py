@@ -42,9 +42,11 @@ def test_team_sizes_out_of_range_are_refused(name: str, n_agents: int) -> None:
         module_of(name).parallel_env(n_agents=n_agents)
 
 
-def test_max_cycles_below_one_are_refused() -> None:
+def test_max_cycles_below_one_and_fractions_are_refused() -> None:
     with pytest.raises(ValueError, match="max_cycles must be at least 1, got 0"):
         module_of("blind_discovery_v0").parallel_env(max_cycles=0)
+    with pytest.raises(TypeError, match="'float' object cannot be interpreted as an integer"):
+        module_of("blind_discovery_v0").parallel_env(max_cycles=2.5)
 
 
 @tasks

@@ -73,6 +73,7 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
         self._env = VectorEnv(task, num_envs, max_cycles, copies_per_space)
         self._episode_seeds = [EpisodeSeeds() for _ in range(num_envs)]
         self._over: Bools = np.zeros(num_envs, dtype=np.bool_)
+        self._begun: Bools = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -88,6 +89,8 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
         return self._begin(begin), {}
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Floats, Bools, Bools, Infos]:
+        if not self._begun.all():
+            raise ValueError("no episode is under way: call reset first.")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._over.any():
             raise ValueError(
                 f"the episodes of entries {np.flatnonzero(self._over).tolist()} are over: begin new ones "
@@ -117,6 +120,7 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
     def _begin(self, entries: Bools) -> Array:
         which = np.flatnonzero(entries)
         self._over[which] = False
+        self._begun[which] = True
         return self._env.reset([self._episode_seeds[k].draw() for k in which], which)
 
     def _infos(self, step: Step, entries: Bools) -> Infos:

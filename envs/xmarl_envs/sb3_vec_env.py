@@ -101,6 +101,7 @@ class AgentVecEnv(OneObjectVecEnv):
         self.task = task
         self._env = VectorEnv(task, n_episodes, max_cycles, copies_per_space)
         self._episode_seeds = [EpisodeSeeds() for _ in range(n_episodes)]
+        self._begun = False
         super().__init__(
             [task.n_agents] * n_episodes,
             spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32),
@@ -115,9 +116,12 @@ class AgentVecEnv(OneObjectVecEnv):
                 self._episode_seeds[k] = EpisodeSeeds(seed)
         self._reset_seeds()  # SB3's rule: seeds and options are used once
         self._reset_options()
+        self._begun = True
         return self._by_entry(self._env.reset([seeds.draw() for seeds in self._episode_seeds]))
 
     def step_wait(self) -> StepReturn:
+        if not self._begun:
+            raise ValueError("no episode is under way: call reset first.")
         n_agents = self.task.n_agents
         step = self._env.step(np.asarray(self._actions).reshape(self._env.action_shape))
         done = step.terminated | step.truncated

@@ -168,6 +168,18 @@ def test_gymnasium_measures_its_speed() -> None:
     assert performance.benchmark_vector_step(env, target_duration=0, seed=1) > 0
 
 
+@modes
+def test_a_step_needs_an_episode_of_every_team(mode: AutoresetMode) -> None:
+    env, still = ours(NAVIGATION, mode), np.zeros((NUM_ENVS, N_AGENTS, 2), np.float32)
+    with pytest.raises(ValueError, match="call reset first"):
+        env.step(still)
+    env.reset(seed=0, options={"reset_mask": np.arange(NUM_ENVS) == 0})
+    with pytest.raises(ValueError, match="call reset first"):
+        env.step(still)
+    env.reset(seed=0)
+    env.step(still)
+
+
 def test_invalid_arguments_are_refused_with_a_reason() -> None:
     env = ours(NAVIGATION, AutoresetMode.DISABLED)
     with pytest.raises(ValueError, match="each entry needs one seed: got 2 seeds for 5 entries"):

@@ -172,6 +172,14 @@ def test_sb3_s_wrappers_saving_and_other_algorithms_work(tmp_path: Path) -> None
     )
 
 
+def test_a_step_needs_an_episode() -> None:
+    env = AgentVecEnv(make_task("blind_navigation_v0"), 2)
+    with pytest.raises(ValueError, match="call reset first"):
+        env.step(np.zeros((6, 2)))
+    env.reset()
+    env.step(np.zeros((6, 2)))
+
+
 def test_unseeded_environments_differ() -> None:
     starts = [AgentVecEnv(make_task("blind_navigation_v0"), 2).reset() for _ in range(2)]
     assert len(np.unique(np.concatenate(starts), axis=0)) == 12

@@ -106,11 +106,15 @@ ADAPTER = TypeAdapter(RunRecord)
 
 
 def run_records(cache: Cache) -> Iterator[RunRecord]:
-    """Records of all runs whose folder still exists. Skips invalid files."""
+    """Records of all runs, without finished ones whose folder was deleted. Skips invalid files.
+
+    A run that ended before its first entry leaves no folder.
+    """
     for path in sorted((cache.folder / RUNS).glob("*.json")):
         try:
             record = ADAPTER.validate_json(path.read_bytes())
         except (OSError, ValidationError):
             continue
-        if Path(record.out).is_dir():
+        keys = (key for each in record.asked for key in each.pieces)
+        if Path(record.out).is_dir() or not all(map(cache.has, keys)):
             yield record

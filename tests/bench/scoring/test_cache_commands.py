@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from shutil import rmtree
 
 import pytest
 
@@ -147,6 +148,23 @@ def test_status_before_during_and_after(run_cli: RunCli, make_bundle: MakeBundle
     assert row["pieces"] == [0, PIECES]
     assert row["explainers"] == {"attention": [0, 3]}  # explanations, and two ways to act on them
     assert_refused(run_cli("status", out / "elsewhere"), "has no record of a run")
+
+
+@pytest.mark.slow
+def test_status_shows_a_run_that_ended_before_its_first_entry(
+    run_cli: RunCli, make_bundle: MakeBundle, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(payload: sweep.Payload) -> object:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep, "run", interrupted)
+        assert score(run_cli, make_bundle(), out, "--jobs", 1).code == 130
+    assert not out.exists()
+    assert f"of {PIECES} pieces, 0 of 1 entry." in run_cli("status", out).out
+    assert score(run_cli, out.parent / "policies" / "small", out).code == 0
+    rmtree(out)
+    assert_refused(run_cli("status"), "has no record of a run")
 
 
 @pytest.mark.slow

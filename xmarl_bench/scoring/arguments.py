@@ -7,6 +7,8 @@ from typing import Final
 
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.policy import PolicyCard
+from xmarl_bench.records.field_types import one_line
+from xmarl_bench.records.strict_json import shown
 from xmarl_bench.rollout.cell import Cell
 
 ALL: Final = "all"
@@ -16,6 +18,15 @@ def check_behaviour_episodes(episodes: int | None) -> None:
     """Raise InputError if the number of episodes played on an explanation is invalid."""
     if episodes is not None and episodes < 0:
         raise InputError(f"behaviour_episodes must be at least 0, got {episodes}: give 0 to play none.")
+
+
+def check_submitter(name: str | None) -> None:
+    """Raise InputError if no entry could hold the name, before anything is scored."""
+    if name is not None:
+        try:
+            one_line(name)
+        except ValueError as error:
+            raise InputError(f"submitter {shown(name)} {error}: give another name.") from None
 
 
 def check_among(names: Sequence[str], explainers: Sequence[str]) -> None:

@@ -30,6 +30,7 @@ from xmarl_bench.policy.device import CPU
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.reproducible import torch_defaults
 from xmarl_bench.rollout.cell import Cell, Sampling, check_parallel
+from xmarl_bench.scoring.arguments import check_submitter
 from xmarl_bench.scoring.cache import Cache, Memory
 from xmarl_bench.scoring.cell_result import Controls
 from xmarl_bench.scoring.entry_records import entry_of
@@ -162,6 +163,7 @@ def score_requests(
     name, or if results cannot be written.
     """
     check_parallel(parallel_episodes)
+    check_submitter(submitter)
     explainers, started = _by_name(requests), now()
     cache = Memory() if cache is None else cache
     cache.prepare()

@@ -87,6 +87,19 @@ def test_submit_writes_no_invalid_bundle(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["@me", ""])
+def test_submit_refuses_a_name_that_no_manifest_holds(
+    name: str, tmp_path: Path, entries: list[Entry], policy_folder: Path, run_cli: RunCli
+) -> None:
+    entry = write_entry(tmp_path, entries[0])
+    (tmp_path / "LICENSE").write_bytes(LICENCE)
+    ran = run_cli("submit", entry, "--submitter", name, "--licence", tmp_path / "LICENSE", "--out",
+                  tmp_path / "x.zip", "--policy", policy_folder)  # fmt: skip
+    assert (ran.code, len(ran.err.splitlines())) == (2, 1)
+    assert "the bundle's submitter is invalid" in ran.err
+
+
+@pytest.mark.slow
 def test_validate_exits_0_1_2(tmp_path: Path, entries: list[Entry], run_cli: RunCli) -> None:
     good = write_entry(tmp_path / "good", entries[0])
     bad = tmp_path / "bad.json"

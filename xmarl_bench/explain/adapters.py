@@ -26,7 +26,7 @@ from torch import Tensor
 from torch_geometric.explain import AttentionExplainer, CaptumExplainer, ExplainerAlgorithm, PGExplainer
 
 from xmarl_bench.errors import InputError, failures_named
-from xmarl_bench.explain.explainer import Access, Explainer, Fit, Scalar
+from xmarl_bench.explain.explainer import Access, Explainer, Fit, Scalar, recordable
 from xmarl_bench.explain.pyg import Copies, PygExplain, fit_pg
 from xmarl_bench.explain.simulator import SIMULATOR, Simulator
 from xmarl_bench.metrics.absence import Absence
@@ -228,11 +228,7 @@ def _settings(thing: object) -> dict[str, Scalar]:
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, Scalar]:
     """The settings that an entry can record."""
-    return {
-        key: value
-        for key, value in values.items()
-        if not key.startswith("_") and isinstance(value, bool | int | float | str | None)
-    }
+    return {key: value for key, value in values.items() if not key.startswith("_") and recordable(value)}
 
 
 def _first_line(thing: object) -> str:
@@ -250,7 +246,7 @@ def _check_declared(name: str, fields: Mapping[str, Any]) -> None:
             right, wanted = value in (None, *Absence), f"one of {', '.join(Absence)}"
         elif key == "hyperparameters":
             right = isinstance(value, Mapping) and len(_scalars(value)) == len(value)
-            wanted = "a dict of names and numbers, strings, booleans or None"
+            wanted = "a dict of names and finite numbers, strings, booleans or None"
         elif key in FLAGS:
             right, wanted = isinstance(value, bool), "True or False"
         elif key == "node_importance":

@@ -6,10 +6,11 @@ S is the number of timesteps, N agents, D observation entries.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Final, Literal, Protocol
 
 import torch
 from torch import Tensor
@@ -26,9 +27,12 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.policy.black_box import BlackBox
 from xmarl_bench.policy.device import CPU, checked_device
 from xmarl_bench.policy.elsewhere import PolicyElsewhere
+from xmarl_bench.records.field_types import MOST_TEXT
+from xmarl_bench.records.strict_json import MAX_DIGITS, shown
 from xmarl_bench.reproducible import derived_seed, one_thread, seeded, timestep_seeds
 
 Scalar = bool | int | float | str | None
+TOO_LARGE: Final[int] = 10**MAX_DIGITS  # of an entry's whole numbers
 Access = Literal["black-box", "attention", "gradients"]
 
 
@@ -42,6 +46,17 @@ class Explain(Protocol):
         matters at timestep s. `policy` is a private copy; all randomness must come from `generator`. The
         last `policy.memory_dim` of the D entries are what an agent remembers at that timestep.
         """
+
+
+def recordable(value: object) -> bool:
+    """Whether an entry can record the value as a hyperparameter."""
+    if isinstance(value, bool) or value is None:
+        return True
+    if isinstance(value, int):
+        return abs(value) < TOO_LARGE
+    if isinstance(value, float):
+        return math.isfinite(value)
+    return isinstance(value, str) and len(value) <= MOST_TEXT
 
 
 class Elsewhere(Protocol):
@@ -70,6 +85,7 @@ class Explainer:
 
     An entry records the declarations, and the harness acts on them. Third parties register an Explainer, or
     anything that `as_explainer` accepts, in the entry-point group `xmarl_bench.explainers`, by the same name.
+    Raises InputError if an entry cannot record a hyperparameter.
     """
 
     name: str
@@ -101,6 +117,14 @@ class Explainer:
     origin: Origin | None = field(default=None, compare=False, repr=False)
     # What asks it, if it runs in a process of its own; None: it runs in this process.
     elsewhere: Elsewhere | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for key, value in self.hyperparameters.items():
+            if not recordable(value):
+                raise InputError(
+                    f"explainer {self.name!r} has the hyperparameter {key} = {shown(value)}, which an entry "
+                    f"cannot record: give a finite number, a string, a boolean or None."
+                )
 
 
 def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:

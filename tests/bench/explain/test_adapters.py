@@ -114,7 +114,8 @@ def test_the_decorator_records_declarations() -> None:
         ({"accesses": "weights"}, "accesses = 'weights': give one of black-box, attention, gradients"),
         ({"node_importance": "yes"}, "node_importance = 'yes': give True, False or None"),
         ({"absence": "gone"}, "absence = 'gone': give one of zero, mean, resample, renormalised"),
-        ({"hyperparameters": {"layers": [1, 2]}}, "give a dict of names and numbers"),
+        ({"hyperparameters": {"layers": [1, 2]}}, "give a dict of names and finite numbers"),
+        ({"hyperparameters": {"level": math.inf}}, "give a dict of names and finite numbers"),
         ({"name": 3}, "name = 3: give a string"),
         ({"needs_fit": True}, "give it a method fit"),
     ],
@@ -137,6 +138,14 @@ class Tempered:
 
     def explain(self, observations: Tensor, policy: Policy) -> Tensor:
         return policy.attention(observations) ** (1 / self.temperature)
+
+
+@pytest.mark.parametrize("value", [math.inf, math.nan, 10**19, "x" * 10_001])
+def test_what_an_entry_cannot_record_is_no_hyperparameter(value: Any) -> None:
+    """Found before anything is scored: the entry is made last."""
+    assert as_explainer(Tempered(value)).hyperparameters == {}
+    with pytest.raises(InputError, match=r"hyperparameter level = .* cannot record: give a finite number"):
+        Explainer("mine", lambda *given: POLICY.attention(given[1]), hyperparameters={"level": value})
 
 
 def test_classes_and_objects_explain_and_declare() -> None:

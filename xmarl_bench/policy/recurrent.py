@@ -58,7 +58,11 @@ def run(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
 
 
 def call(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
-    """The same as `run`, with the network's own errors, and whatever it returns if it is not recurrent."""
+    """The same as `run`, with the network's own errors, and whatever it returns if it is not recurrent.
+
+    The network gets a copy: one that changes its input in place changes no recorded observation.
+    """
+    x = x.clone()
     if not is_recurrent(network):
         plain: Tensor = network(x, edge_index)
         return plain

@@ -117,6 +117,26 @@ def test_layers_without_attention_equal_the_dense_computation(
         policy.attention(observations)
 
 
+class InPlace(OneLayer):
+    """Normalises its input in place."""
+
+    def forward(self, x: Tensor, edge_index: Tensor) -> Tensor:
+        return super().forward(x.mul_(0.5).sub_(0.25), edge_index)
+
+
+def test_a_network_that_works_in_place_changes_no_observation() -> None:
+    policy = opened(InPlace(), n_agents=N)
+    observations, masks = states()
+    before = observations.clone()
+    with torch.no_grad():
+        first = policy.distribution(observations, masks).loc
+        policy.distribution(observations)
+        policy.attention(observations)
+        policy(observations[0], policy.edges(observations[0]))
+        assert torch.equal(observations, before)
+        assert torch.equal(policy.distribution(observations, masks).loc, first)
+
+
 class TwoGraphConvs(nn.Module):
     def __init__(self) -> None:
         super().__init__()

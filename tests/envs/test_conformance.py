@@ -37,9 +37,12 @@ RETURN = tuple[
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("blind_navigation_v0", {"n_agents": 3}),
+        ("blind_navigation_v0", {"n_agents": 5}),
         ("blind_passage_v0", {"n_agents": 5, "shared_reward": True, "seed": 3}),
         ("blind_passage_v0", {"n_agents": 1}),
+        ("blind_discovery_v0", {"n_agents": 5}),
+        ("blind_navigation_v0", {"n_agents": 3, "continuous_actions": False}),
+        ("blind_passage_v0", {"n_agents": 3, "continuous_actions": False}),
         ("blind_discovery_v0", {"n_agents": 3, "continuous_actions": False}),
     ],
 )

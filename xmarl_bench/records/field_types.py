@@ -41,7 +41,7 @@ def _not_reserved(name: str) -> str:
 Name = Annotated[str, Field(pattern=f"^{NAME.pattern}$"), AfterValidator(_not_reserved)]
 
 
-def one_line(name: str) -> str:
+def _one_line(name: str) -> str:
     """The name. Raises ValueError if a table or a spreadsheet could not show it."""
     if not name.isprintable() or name[:1] in ("=", "+", "-", "@"):
         raise ValueError("is not a name in one line of printable characters that begins without = + - @")
@@ -50,7 +50,7 @@ def one_line(name: str) -> str:
 
 MOST_TEXT = 10_000  # characters
 # The name of a person or group, as the board shows it.
-Person = Annotated[str, Field(max_length=MOST_TEXT), AfterValidator(one_line)]
+Person = Annotated[str, Field(max_length=MOST_TEXT), AfterValidator(_one_line)]
 Link = Annotated[str, Field(max_length=2000, pattern=r"^https?://[!-~]+$")]
 Text = Annotated[str, Field(max_length=MOST_TEXT)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from pydantic import TypeAdapter, ValidationError
+
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.policy import PolicyCard
-from xmarl_bench.records.field_types import one_line
-from xmarl_bench.records.strict_json import shown
+from xmarl_bench.records.field_types import Person
+from xmarl_bench.records.strict_json import first_error, shown
 from xmarl_bench.rollout.cell import Cell
 
 ALL: Final = "all"
@@ -24,9 +26,10 @@ def check_submitter(name: str | None) -> None:
     """Raise InputError if no entry could hold the name, before anything is scored."""
     if name is not None:
         try:
-            one_line(name)
-        except ValueError as error:
-            raise InputError(f"submitter {shown(name)} {error}: give another name.") from None
+            TypeAdapter(Person).validate_python(name)
+        except ValidationError as error:
+            problem = first_error(error)[0].removeprefix("Value error, ")
+            raise InputError(f"submitter {shown(name)} {problem}: give another name.") from None
 
 
 def check_among(names: Sequence[str], explainers: Sequence[str]) -> None:

@@ -215,6 +215,7 @@ def test_an_explainer_that_becomes_invalid_yields_no_entry(make_bundle: MakeBund
         ({"task": "nowhere_v0"}, "unknown task 'nowhere_v0'"),
         ({"n_agents": 0}, "got 0"),
         ({"submitter": "@me"}, "submitter '@me' is not a name in one line"),
+        ({"submitter": "x" * 10_001}, "at most 10000 characters: give another name"),
         ({"episodes": 2.0}, "episodes must be a whole number, got 2.0"),
         ({"seed": "0"}, "seed must be a whole number, got '0'"),
         ({"timesteps": 2.5}, "timesteps must be a whole number"),

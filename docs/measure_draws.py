@@ -17,16 +17,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from xmarl_bench.explain.absence import DRAWS, Removal, message_rows, stand_ins
-from xmarl_bench.metrics import (
-    budgeted_fidelity,
-    choices,
-    fid_delta_at_k,
-    fid_delta_table,
-    oracle_at_k,
-    other_senders,
-    random_at_k,
-)
+from xmarl_bench.explain.absence import Removal, message_rows, message_table
+from xmarl_bench.metrics import budgeted_fidelity, choices, other_senders
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.policy import GraphPolicy, load_policy
@@ -36,6 +28,7 @@ from xmarl_bench.reproducible import derived_seed, episode_seeds
 from xmarl_bench.rollout.cell import Cell, spaced_timesteps
 from xmarl_bench.rollout.episodes import Episode, Rollout
 from xmarl_bench.rollout.reference_states import fit_states
+from xmarl_bench.scoring.enumerated import Table
 
 EPISODES: Final = 5
 TIMESTEPS: Final = 20
@@ -53,35 +46,31 @@ def best_without_knowing(drawn: Floats, expected: Floats) -> Floats:
     return np.array(found)
 
 
-def of_episode(policy: GraphPolicy, messages: torch.Tensor, episode: Episode) -> list[float]:
+def of_episode(policy: GraphPolicy, reference: torch.Tensor, episode: Episode) -> list[float]:
     """The best without knowing, attention by the draws, attention over all reference states."""
     chosen = spaced_timesteps(episode.makespan, TIMESTEPS)
     observations = torch.tensor(episode.observations[chosen])
     n_steps, n_agents, _ = observations.shape
     masks = message_rows(n_agents)[:, None].expand(-1, n_steps, -1, -1)
     rng = np.random.default_rng(derived_seed("draws", episode.seed))
-
-    def delta(replaced: tuple[torch.Tensor | None, ...]) -> Floats:
-        return fid_delta_table(Removal(policy, observations, Absence.RESAMPLE, replaced).change(masks))
-
-    drawn = delta(tuple(stand_ins(Absence.RESAMPLE, messages, (DRAWS, n_steps), rng)))
-    expected = delta(tuple(each.expand(n_steps, -1, -1) for each in messages))
+    drawn = Table.of(message_table(policy, observations, Absence.RESAMPLE, reference, rng), None)
     with torch.no_grad():
+        everything = tuple(each.expand(n_steps, -1, -1) for each in policy.prepare(reference).message)
         share = choices(other_senders(policy.attention(observations).numpy()))
-    scored = [(drawn, best_without_knowing(drawn, expected))]
-    scored += [(table, fid_delta_at_k(table, share)) for table in (drawn, expected)]
-    return [budgeted_fidelity(found, random_at_k(table), oracle_at_k(table)) for table, found in scored]
+    expected = Table.of(Removal(policy, observations, Absence.RESAMPLE, everything).change(masks), None)
+    blind = best_without_knowing(drawn.delta, expected.delta)
+    scored = [table.score(share).budgeted for table in (drawn, expected)]
+    return [budgeted_fidelity(blind, drawn.random, drawn.oracle), *scored]
 
 
 def of_policy(name: str) -> tuple[str, list[float]]:
     """The task, and means over episodes."""
     policy, card = load_policy(find_policies()[name])
     assert isinstance(policy, GraphPolicy)
-    with torch.no_grad():
-        messages = policy.prepare(fit_states(policy, card.task, card.n_agents)).message
+    reference = fit_states(policy, card.task, card.n_agents)
     seeds = tuple(episode_seeds(0, EPISODES))
     episodes = Rollout(policy, Cell(card.task, card.n_agents), seeds, None).play()
-    values = np.nanmean([of_episode(policy, messages, each) for each in episodes], axis=0)
+    values = np.nanmean([of_episode(policy, reference, each) for each in episodes], axis=0)
     return card.task, values.tolist()
 
 

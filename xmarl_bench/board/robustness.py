@@ -19,6 +19,7 @@ from xmarl_bench.board.regulariser import (
     task_metric_of,
 )
 from xmarl_bench.board.scores import Scores
+from xmarl_bench.counted import counted
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.statistics import Difference
 from xmarl_bench.metrics.table import ORDER, SUCCESS, UNDER_ABSENCES, by_name
@@ -38,7 +39,7 @@ def lead_without_zero(scores: Scores) -> str:
     found = _without_zero(scores)
     if found is None:
         return ""
-    rests = "rests on" if rests_on_zero(scores) else "does not rest on"
+    rests = "does not rest on" if _shows_the_lead(found) else "rests on"
     shown = difference({"difference": found.value, "interval": found.interval})
     first, second = scores.explainers[0], scores.ranking["lead"]["over"]
     return (
@@ -50,7 +51,11 @@ def lead_without_zero(scores: Scores) -> str:
 def rests_on_zero(scores: Scores) -> bool:
     """Whether the other absence models do not show the first explainer's lead."""
     found = _without_zero(scores)
-    return found is not None and found.value is not None and (found.holds_zero or found.value < 0.0)
+    return found is not None and not _shows_the_lead(found)
+
+
+def _shows_the_lead(difference: Difference) -> bool:
+    return not difference.holds_zero and (difference.value or 0.0) > 0.0
 
 
 def _without_zero(scores: Scores) -> Difference | None:
@@ -94,7 +99,7 @@ def with_gated_pairs(tables: Sequence[Json], name: str) -> str:
     success = compared(families, partial(task_metric_of, metric=SUCCESS))
     if not left_out or fidelity is None or success is None:
         return ""
-    pairs = "1 pair is" if left_out == 1 else f"{left_out} pairs are"
+    pairs = f"{counted(left_out, 'pair')} {'is' if left_out == 1 else 'are'}"
     return (
         f"{pairs} left out, because the board does not rank one of the policies or both; with them the "
         f"differences are {difference(fidelity)} in {by_name()[ORDER].title} and {difference(success)} in "

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xmarl_bench.metrics.statistics import Difference, over_runs
 from xmarl_bench.metrics.student import Design
@@ -88,10 +89,10 @@ class Scores:
 
     def difference_over(self, metrics: Sequence[str], a: str, b: str | None = None) -> Difference:
         """`difference` of a policy's mean over several metrics."""
-        ours = np.mean([self.of_policies(metric, a) for metric in metrics], axis=0)
-        theirs = (
-            np.zeros_like(ours)
-            if b is None
-            else np.mean([self.of_policies(metric, b) for metric in metrics], axis=0)
-        )
+
+        def mean_of(name: str) -> NDArray[np.float64]:
+            return np.asarray(np.mean([self.of_policies(metric, name) for metric in metrics], axis=0))
+
+        ours = mean_of(a)
+        theirs = np.zeros_like(ours) if b is None else mean_of(b)
         return over_runs([[x] for x in ours], [[y] for y in theirs], design=self.design)

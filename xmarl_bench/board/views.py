@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from xmarl_bench.board.agreement import rank_agreement, scores_of_board
-from xmarl_bench.board.answer import answer_of, gamed_by, number
+from xmarl_bench.board.answer import gamed_by, number
 from xmarl_bench.board.charts import axis_of, line, steps
 from xmarl_bench.board.columns import COMPARED, GAMED, ORDER, title_of
 from xmarl_bench.board.details import Details
@@ -79,7 +79,8 @@ def ranking_of(board: Json, scope: Scope) -> Json:
     """The ranking of a scope; an empty one if nothing is ranked there."""
     wanted = (scope.protocol, scope.oracle, scope.task, scope.n_agents)
     keys = ("protocol", "oracle", "task", "n_agents")
-    nothing: Json = {"rows": [], "policies": [], "n_cells": 0, "n_trainings": 0}
+    scope_of: Json = dict(zip(keys, wanted, strict=True))
+    nothing: Json = {**scope_of, "rows": [], "policies": [], "n_cells": 0, "n_trainings": 0, "lead": None}
     return next((r for r in board["rankings"] if tuple(r[key] for key in keys) == wanted), nothing)
 
 
@@ -93,7 +94,7 @@ def context_of(
     ranked = [row for row in rows if row["rank"] is not None]
     return {
         "scope": scope,
-        "answer": answer_by(Scores.of(board, ranking)) if ranked else answer_of(None),
+        "answer": answer_by(Scores.of(board, ranking)),
         "n_policies": len(ranking["policies"]),
         "n_cells": ranking["n_cells"],
         "n_trainings": ranking["n_trainings"],

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
@@ -22,7 +21,7 @@ from xmarl_bench.policy.graph import FixedGraph
 from xmarl_bench.policy.shapes import weight_shapes
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS, check_weights, read_member
 from xmarl_bench.records.files import write_atomically
-from xmarl_bench.records.strict_json import first_error, shown
+from xmarl_bench.records.strict_json import fields_named, shown
 from xmarl_bench.reproducible import torch_defaults
 
 if TYPE_CHECKING:
@@ -54,14 +53,9 @@ def packed(policy: nn.Module, **card: Any) -> tuple[PolicyCard, bytes]:
 
     weights = save(weights_of(policy))
     architecture = closed_network(policy).architecture
-    try:
-        record = PolicyCard(
-            architecture=architecture, weights_sha256=hashlib.sha256(weights).hexdigest(), **card
-        )
-    except ValidationError as error:
-        problem, where = first_error(error)
-        raise InputError(f"the policy's {where} is invalid: {problem}.") from None
-    return record, weights
+    digest = hashlib.sha256(weights).hexdigest()
+    with fields_named("the policy's"):
+        return PolicyCard(architecture=architecture, weights_sha256=digest, **card), weights
 
 
 def write_bundle(folder: Path, card: PolicyCard, weights: bytes) -> None:

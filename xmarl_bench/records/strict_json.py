@@ -8,7 +8,11 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NoReturn
+
+from xmarl_bench.errors import InputError
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -78,6 +82,18 @@ def first_error(error: ValidationError) -> tuple[str, str]:
     """
     first = error.errors(include_url=False, include_input=False, include_context=False)[0]
     return first["msg"], ".".join(str(part) for part in first["loc"])
+
+
+@contextmanager
+def fields_named(whose: str) -> Iterator[None]:
+    """Raises InputError for pydantic's error in the block, such as "the policy's name is invalid: ..."."""
+    from pydantic import ValidationError
+
+    try:
+        yield
+    except ValidationError as error:
+        problem, where = first_error(error)
+        raise InputError(f"{whose} {where} is invalid: {problem}.") from None
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

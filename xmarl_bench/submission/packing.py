@@ -9,15 +9,13 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from xmarl_bench.entry.file import entry_text
 from xmarl_bench.entry.schema import Entry, Verification, entry_id
 from xmarl_bench.errors import InputError
 from xmarl_bench.origin.installed import harness_version
 from xmarl_bench.policy.untrusted import CARD, WEIGHTS, read_member
 from xmarl_bench.records.files import pretty_json, write_atomically
-from xmarl_bench.records.strict_json import first_error
+from xmarl_bench.records.strict_json import fields_named
 from xmarl_bench.submission.archive import MANIFEST
 from xmarl_bench.submission.manifest import Manifest, file_records, rows_csv
 
@@ -68,16 +66,13 @@ def bundle_files(
     for name, folder in policies.items():
         for file in (CARD, WEIGHTS):
             files[f"policies/{name}/{file}"] = read_member(folder, file)
-    try:
+    with fields_named("the bundle's"):
         manifest = Manifest(
             submitter=submitter,
             contact=contact,
             harness_version=harness_version(),
             files=file_records(files),
         )
-    except ValidationError as error:
-        problem, where = first_error(error)
-        raise InputError(f"the bundle's {where} is invalid: {problem}.") from None
     return {MANIFEST: pretty_json(manifest.model_dump(mode="json")), **files}
 
 

@@ -51,6 +51,7 @@ class Need(StrEnum):
     SEEDS = "a stochastic explainer"
     PLAYED = "behaviour episodes"
     WALLS = "walls"
+    REWARDS = "finite rewards"
     SUCCESS = "a task that tells success"
     COLLISIONS = "a task that tells collisions"
     ATTENTION = "attention"
@@ -265,12 +266,12 @@ METRICS: tuple[Metric, ...] = (
     Metric(
         "reward_on_explanation", "reward on explanation", "reward of a team that hears the explanation only",
         "reward of the team on the explanation",
-        Group.BEHAVIOUR, ANY, HIGHER, "reward", (Need.PLAYED,),
+        Group.BEHAVIOUR, ANY, HIGHER, "reward", (Need.PLAYED, Need.REWARDS),
     ),
     Metric(
         "reward_on_complement", "reward on complement", "reward of a team that hears the complement only",
         "reward of the team on the complement",
-        Group.BEHAVIOUR, ANY, LOWER, "reward", (Need.PLAYED,),
+        Group.BEHAVIOUR, ANY, LOWER, "reward", (Need.PLAYED, Need.REWARDS),
     ),
     Metric(
         "no_agent_collision_on_explanation", "collision-free on explanation",
@@ -325,11 +326,11 @@ METRICS: tuple[Metric, ...] = (
     Metric(
         "reward_gain", "reward gained by messages", "reward with messages less reward without",
         "reward less that of the same episode without messages between agents",
-        Group.GAIN, ANY, unit="reward", column=3, digits=2,
+        Group.GAIN, ANY, unit="reward", needs=(Need.REWARDS,), column=3, digits=2,
     ),
     Metric(
         "reward", "reward", "return of an agent", "mean over agents of the return",
-        Group.TASK, ANY, HIGHER, "reward", column=2, short="reward", digits=2,
+        Group.TASK, ANY, HIGHER, "reward", (Need.REWARDS,), column=2, short="reward", digits=2,
     ),
     Metric(
         "success_rate", "success rate", "fraction of agents at the goal in the end",

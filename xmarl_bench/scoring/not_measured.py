@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isnan
+from math import isfinite, isnan
 
 import torch
 
@@ -28,6 +28,7 @@ def not_measured(request: Request, cell: Cell, episodes: Sequence[Episode]) -> d
     not_played = (
         why_no_behaviour(explainer, n_agents) or "not asked for, since it asks the explainer at every step"
     )
+    finite = any(isfinite(episode.reward) for episode in episodes)
     hits = _untold("no_object_collision", OBJECT_COLLISION, episodes)
     # The reason why a need is not met; None or empty if it is met.
     reasons: dict[Need, str | None] = {
@@ -38,6 +39,7 @@ def not_measured(request: Request, cell: Cell, episodes: Sequence[Episode]) -> d
         Need.DISTRIBUTION: no_distribution if deterministic else None,
         Need.SEEDS: None if explainer.stochastic else "the explainer says that it is not stochastic",
         Need.PLAYED: None if request.behaviours(cell) else not_played,
+        Need.REWARDS: None if finite else "every episode has a reward that is NaN or infinite",
         Need.SUCCESS: _untold("success_rate", keys, episodes),
         Need.COLLISIONS: _untold("no_agent_collision", AGENT_COLLISION, episodes),
         Need.WALLS: hits if cell.make().has_objects else "the task has no walls",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mpe2 import simple_spread_v3
 from PIL import Image
@@ -77,6 +78,30 @@ def scored(task: object) -> Entry:
     policy, card = spread_policy()
     opened = policy, PolicyCard(architecture=policy.architecture, weights_sha256="0" * 64, **card)
     return score(opened, "attention", task=task, episodes=2, timesteps=2, max_cycles=4, behaviour_episodes=0)  # type: ignore[arg-type]
+
+
+class Overflowing(worlds.Line):
+    def step(self, actions: Any) -> Any:
+        seen, rewards, *rest = super().step(actions)
+        return seen, dict.fromkeys(rewards, np.inf) if self.cycle == 3 else rewards, *rest
+
+
+def overflowing(n_agents: int) -> Overflowing:
+    return Overflowing(n_agents)
+
+
+@pytest.mark.slow
+def test_an_entry_says_that_rewards_are_not_finite() -> None:
+    policy = small_policy(2)
+    card = {"name": "liner", "task": "overflowing", "n_agents": 3, "attention_entropy": 0.0}
+    opened = policy, PolicyCard(architecture=policy.architecture, weights_sha256="0" * 64, **card)  # type: ignore[arg-type]
+    entry = score(opened, "attention", task=overflowing, episodes=2, timesteps=2)
+    (cell,) = entry.results
+    why = "every episode has a reward that is NaN or infinite"
+    for name in ("reward", "reward_gain", "reward_on_explanation", "reward_on_complement"):
+        assert getattr(cell.metrics, name) is None
+        assert cell.not_measured[name] == why
+    assert cell.metrics.fid_delta.n == 2
 
 
 @pytest.mark.slow

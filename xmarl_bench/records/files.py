@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -15,6 +16,7 @@ from typing import Any
 from xmarl_bench.errors import InputError
 
 LOCK = ".lock"
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def write_atomically(path: Path, data: bytes, *, sync: bool = True) -> None:
@@ -51,9 +53,9 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        what = "free disk space" if error.errno in NO_SPACE else "give another folder"
         raise InputError(
-            f"{path} cannot be written ({error.strerror}): free disk space or give another folder. Files "
-            f"written before are intact."
+            f"{path} cannot be written ({error.strerror}): {what}. Files written before are intact."
         ) from error
 
 

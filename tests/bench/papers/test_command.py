@@ -96,8 +96,11 @@ def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
     first, second = (json.loads((out / "results.json").read_bytes()) for out in (scored, judged))
     assert (first.pop("existing"), second.pop("existing")) == (False, True)
     assert first == second
+    (empty := tmp_path / "empty").mkdir()
+    none = run(run_cli, "main", folders, tmp_path / "none", "--no-figures", "--entries", empty)
+    assert_refused(none, "empty is of this study: score there first")
     none = run(run_cli, "main", folders, tmp_path / "none", "--no-figures", "--entries", tmp_path / "nowhere")
-    assert_refused(none, "nowhere is of this study: score there first")
+    assert_refused(none, "nowhere does not exist")
     (entry,) = (board / "entries").glob("p0.05.attention.*.json")
     entry.unlink()
     ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)

@@ -17,9 +17,11 @@ Key = tuple[object, ...]  # with name and weights: two checkpoints of unlike nam
 def existing_entries(requests: Sequence[Request], folder: Path) -> list[Entry | Failed]:
     """For each request, the entry of its policy, explainer, cells and states; Failed if there is none.
 
-    folder: of entries, or one that `score` wrote. Raises InputError if two entries answer one request, or if
-    none answers any.
+    folder: of entries, or one that `score` wrote. Raises InputError if it does not exist, if two entries
+    answer one request, or if none answers any.
     """
+    if not folder.is_dir():
+        raise InputError(f"folder {folder} does not exist: give one of entries.")
     known: dict[Key, tuple[Path, Entry]] = {}
     keys = [_key_of_request(request) for request in requests]
     wanted = set(keys)

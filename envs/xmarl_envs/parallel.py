@@ -174,9 +174,15 @@ class TaskParallelEnv(ParallelEnv[str, Array, Any]):  # type: ignore[misc]  # no
 def task_of(source: Task | TaskParallelEnv, max_cycles: int | None) -> tuple[Task, int | None]:
     """The task, and max_cycles: those of `parallel_env(...)` by default.
 
-    Raises TypeError for anything else, such as a wrapped environment, whose wrappers would have no effect.
+    Raises TypeError for anything else, such as a wrapped environment, whose wrappers would have no effect,
+    and ValueError if `parallel_env(...)` has a render mode, which would have none.
     """
     if isinstance(source, TaskParallelEnv):
+        if source.render_mode is not None:
+            raise ValueError(
+                f"a vector environment draws nothing, got render_mode={source.render_mode!r}: make "
+                f"parallel_env(...) without it."
+            )
         return source.task, source.max_cycles if max_cycles is None else max_cycles
     if not isinstance(source, Task):
         raise TypeError(

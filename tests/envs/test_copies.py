@@ -169,3 +169,5 @@ def test_vector_envs_take_a_parallel_env(kind: Any) -> None:
     for other in (blind_navigation_v0.env(), InfoAtReset(env), "blind_navigation_v0"):
         with pytest.raises(TypeError, match=r"takes a task or parallel_env\(...\), got"):
             kind(other)
+    with pytest.raises(ValueError, match="draws nothing, got render_mode='rgb_array'"):
+        kind(blind_navigation_v0.parallel_env(render_mode="rgb_array"))

@@ -64,7 +64,11 @@ class Conversation:
         self.process = Stranger(source.name, isolation.limits, isolation.wall, source.readable, light=light)
         self.policies: OrderedDict[str, None] = OrderedDict()
         self.fits: OrderedDict[str, None] = OrderedDict()
-        self.declared: dict[str, Any] = {} if source.load is None else self.ask(source.load)[0]
+        try:
+            self.declared: dict[str, Any] = {} if source.load is None else self.ask(source.load)[0]
+        except BaseException:
+            self.process.close()
+            raise
 
     def ask(self, question: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
         try:

@@ -160,11 +160,19 @@ def _descendants() -> Iterator[psutil.Process]:
         yield from psutil.Process().children(recursive=True)
 
 
+def _is_alive(process: psutil.Process) -> bool:
+    """False also if it has ended since it was found."""
+    try:
+        return bool(process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.Error:
+        return False
+
+
 def _end_all(process: Forked) -> None:
     """End every process that descends from this one: stop them first, so that they start no others."""
     deadline = time.monotonic() + GRACE
     while time.monotonic() < deadline:
-        alive = [each for each in _descendants() if each.status() != psutil.STATUS_ZOMBIE]
+        alive = [each for each in _descendants() if _is_alive(each)]
         for number in (signal.SIGSTOP, signal.SIGKILL):
             for each in alive:
                 with suppress(psutil.Error):

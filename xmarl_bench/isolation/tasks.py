@@ -226,8 +226,9 @@ class AskedEpisodes:
 
     def _ask(self, what: str, kinds: Sequence[tuple[str, tuple[int, ...]]], **more: object) -> list[Any]:
         """The process's arrays, of the given types and shapes. Raises InputError if they are not that."""
-        process, ended = conversation(self.source), _ended.pop(self.source.token, [])
-        _, payload = process.ask({"what": what, "ended": ended, **self.whose, **more})
+        process, ended = conversation(self.source), _ended.setdefault(self.source.token, [])
+        gone = [ended.pop() for _ in range(len(ended))]  # finalisers hold the list itself
+        _, payload = process.ask({"what": what, "ended": gone, **self.whose, **more})
         expected = np.dtype([("", *kind) for kind in kinds])
         if len(payload) != expected.itemsize:
             raise InputError(f"{self.source.name} answered with other shapes than its own: correct it.")

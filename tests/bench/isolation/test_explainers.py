@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -19,7 +20,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import fit_explainer, run_explainer
 from xmarl_bench.explain.sanity import mask_of_shuffled_weights
 from xmarl_bench.explain.simulator import Simulator
-from xmarl_bench.isolation import landlock, process
+from xmarl_bench.isolation import conversation, landlock, process
 from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.isolation.walls import Wall, strongest
@@ -190,6 +191,23 @@ def test_limits_hold_and_cannot_be_raised(act: str, said: str, tmp_path: Path) -
     )
     assert done.returncode != 0
     assert said in done.stderr
+
+
+def test_the_process_of_code_that_does_not_load_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = []
+
+    class Watched(process.Stranger):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            started.append(self)
+
+    monkeypatch.setattr(conversation, "Stranger", Watched)
+    (tmp_path / "broken.py").write_text("import no_such_library")
+    with pytest.raises(InputError, match="no_such_library"):
+        ask_explainer(f"{tmp_path}/broken.py:stranger", Isolation())
+    assert [each.running for each in started] == [False]
 
 
 def test_limits_must_be_above_zero_and_finite() -> None:

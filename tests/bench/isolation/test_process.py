@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.isolation import process
+from xmarl_bench.isolation import keeper, process
 from xmarl_bench.isolation.limits import UNLIMITED, Limits
 from xmarl_bench.isolation.process import Stranger
 
@@ -73,6 +73,14 @@ def test_what_it_leaves_behind_ends_with_it(strange: Strange) -> None:
     stranger.close()  # again: nothing to do
 
 
+def test_a_process_that_ended_after_it_was_found_does_not_keep_others_alive() -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as child:
+        found = psutil.Process(child.pid)
+        child.wait()
+    assert not keeper._is_alive(found)
+    assert keeper._is_alive(psutil.Process())
+
+
 @pytest.mark.parametrize(
     ("what", "said"),
     [
@@ -116,7 +124,7 @@ def test_temporary_folders_are_private_and_deleted(strange: Strange) -> None:
 
 HARNESS = f"""
 import os, signal, time
-from xmarl_bench.isolation import process
+from xmarl_bench.isolation import keeper, process
 from xmarl_bench.isolation.limits import UNLIMITED
 
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -203,3 +204,25 @@ def test_observations_that_are_no_numbers_are_refused() -> None:
 
     with pytest.raises(InputError, match="task Lost gave observations that are NaN or infinite"):
         ask_task(Lost, Isolation()).make(3).vector_env(1).reset([1])
+
+
+def test_environments_that_nobody_plays_any_more_are_released() -> None:
+    task = ask_task(counting, Isolation()).make(3)
+    alive = [int(task.vector_env(4).reset([0, 1, 2, 3])[3, 0, 0]) for _ in range(4)]
+    assert alive == [4] * 4
+
+
+class Counting(worlds.Line):
+    """Observations are the number of such environments in the process, beside the step."""
+
+    alive: Any = weakref.WeakSet()
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        _, infos = super().reset(seed, options)
+        self.alive.add(self)
+        self.place = np.full(len(self.agents), len(self.alive))
+        return self.seen(), infos
+
+
+def counting(n_agents: int) -> Counting:
+    return Counting(n_agents)

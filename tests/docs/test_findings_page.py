@@ -141,8 +141,9 @@ def test_the_term_is_judged_over_pairs_of_runs(script: dict[str, Any]) -> None:
 
 
 def test_scores_are_those_of_the_ranking_over_all_tasks() -> None:
-    def row(name: str, value: float | None) -> dict[str, Any]:
-        return {"explainer": name, "metrics": {"message_fidelity": {"value": value}, "gef": None}}
+    def row(name: str, value: float | None, rank: int | None) -> dict[str, Any]:
+        metrics = {"message_fidelity": {"value": value}, "gef": None}
+        return {"explainer": name, "rank": rank, "metrics": metrics}
 
     board = {
         "rankings": [
@@ -164,9 +165,15 @@ def test_scores_are_those_of_the_ranking_over_all_tasks() -> None:
                 "protocol": protocol,
                 "n_agents": n_agents,
                 "oracle": "enumerated",
-                "policies": [{"name": name, "rows": [row("x", 0.5), row("y", None)]}],
+                "policies": [{"name": name, "rows": [row("x", value, rank), row("y", None, None)]}],
             }
-            for name, n_agents, protocol in (("a", 3, "p"), ("a", 3, "q"), ("a", 8, "p"), ("b", 3, "p"))
+            for name, n_agents, protocol, value, rank in (
+                ("a", 3, "p", 0.5, 1),
+                ("a", 3, "p", 0.9, None),  # partial scores, such as of shorter episodes
+                ("a", 3, "q", 0.9, 1),
+                ("a", 8, "p", 0.9, 1),
+                ("b", 3, "p", 0.9, 1),
+            )
         ],
     }
     found = Scores.of(board)

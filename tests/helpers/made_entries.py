@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 
 import numpy as np
+from xmarl_envs import TASKS
 
 from tests.helpers.policies import small_policy
 from xmarl_bench.entry.metric_records import (
@@ -69,7 +70,7 @@ def made_entry(
     result = CellResult(
         task=task,
         n_agents=n_agents,
-        max_cycles=100,
+        max_cycles=TASKS[task].default_max_cycles,
         metrics=Metrics.model_validate(metrics),
         not_measured={"no_object_collision": "the task has no walls"},
         controls={name: _control(each, episodes) for name, each in levels.items()},

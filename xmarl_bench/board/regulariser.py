@@ -28,7 +28,7 @@ def families_of(tables: Sequence[Json], *, gated: bool = False) -> list[Json]:
     gated: with policies that do not pass the gate. A pair is {"without": policies, "with": policies}. Pairs
     are in the order of their training seeds.
     """
-    families: dict[tuple[str, int, bytes], Json] = {}
+    families: dict[tuple[str, int, int, bytes], Json] = {}
     for table in tables:
         for policy in table["policies"]:
             seed = policy["training_seed"]
@@ -37,7 +37,7 @@ def families_of(tables: Sequence[Json], *, gated: bool = False) -> list[Json]:
             if policy["gate"] and not gated:
                 continue
             architecture = policy["architecture"]
-            key = (table["task"], table["n_agents"], canonical_json(architecture))
+            key = (table["task"], table["n_agents"], table["max_cycles"], canonical_json(architecture))
             family = families.setdefault(
                 key,
                 {"task": table["task"], "n_agents": table["n_agents"], "kind": kind_of(architecture),

@@ -42,7 +42,8 @@ class Scores:
         values: dict[str, dict[str, dict[str, float]]] = {}
         for table in tables:
             for policy in table["policies"]:
-                if (policy["name"], table["n_agents"]) not in compared:
+                whole = any(row["rank"] is not None for row in policy["rows"])
+                if not whole or (policy["name"], table["n_agents"]) not in compared:
                     continue
                 policies.append({**policy, "task": table["task"], "n_agents": table["n_agents"]})
                 for row in policy["rows"]:
@@ -81,7 +82,11 @@ class Scores:
         )
 
     def mean(self, metric: str, name: str) -> float:
-        return self.difference(metric, name).value or 0.0
+        """Raises ValueError if no policy has a value."""
+        value = self.difference(metric, name).value
+        if value is None:
+            raise ValueError(f"{name} has no {metric} on the policies of this ranking.")
+        return value
 
     def difference(self, metric: str, a: str, b: str | None = None) -> Difference:
         """Mean over cells of the mean over their policies of a less b, or of a alone."""

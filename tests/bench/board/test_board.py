@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from xmarl_envs import BlindNavigation
 
 from tests.helpers.policies import small_policy
 from xmarl_bench.board import board_of, build_board
@@ -63,8 +64,9 @@ def passed(entry: Entry, **means: float) -> Entry:
 
 
 @pytest.fixture(autouse=True)
-def _three_episodes_are_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+def _three_short_episodes_are_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(partial, "EPISODES", 3)
+    monkeypatch.setattr(BlindNavigation, "default_max_cycles", 8)
 
 
 def test_only_identical_protocols_share_a_table(entries: list[Entry]) -> None:

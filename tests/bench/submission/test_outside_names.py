@@ -82,17 +82,24 @@ def test_partial_scores_are_not_ranked_and_same_masks_are_pointed_out() -> None:
     copied = as_submitted(made_entry("p", "a", 0.5), "them", None, paper="https://example.org/paper")
     copied = copied.model_copy(update={"explainer": copied.explainer.model_copy(update={"name": "b"})})
     other, few = made_entry("p", "c", 0.4, submitter="them"), made_entry("p", "a", 0.5, episodes=7)
-    board = board_of([("1", first), ("2", copied), ("3", other), ("4", few)])
-    whole, partial_table = board["tables"]
-    rows = {row["file"]: row for row in whole["policies"][0]["rows"] if not row["control"]}
+    (cell,) = first.results
+    short = first.model_copy(update={"results": (cell.model_copy(update={"max_cycles": 30}),)})
+    board = board_of([("1", first), ("2", copied), ("3", other), ("4", few), ("5", short)])
+    rows = {
+        row["file"]: row
+        for table in board["tables"]
+        for row in table["policies"][0]["rows"]
+        if not row["control"]
+    }
     assert rows["1"]["same_masks_as"] == [{"explainer": "b", "submitter": "them"}]
     assert rows["2"]["same_masks_as"] == [{"explainer": "a", "submitter": "us"}]
     assert rows["3"]["same_masks_as"] == []
-    assert all(row["rank"] is not None and row["partial"] is None for row in rows.values())
+    assert all(rows[file]["rank"] is not None and rows[file]["partial"] is None for file in "123")
     assert rows["2"]["paper"] == "https://example.org/paper"
     assert rows["1"]["date"] == "2026-01-01"
-    (row,) = (row for row in partial_table["policies"][0]["rows"] if not row["control"])
-    assert (row["rank"], row["partial"]) == (None, "7 of the protocol's 50 episodes")
+    assert (rows["4"]["rank"], rows["4"]["partial"]) == (None, "7 of the protocol's 50 episodes")
+    shorter = "episodes of at most 30 steps, the protocol's have 400"
+    assert (rows["5"]["rank"], rows["5"]["partial"]) == (None, shorter)
 
 
 @pytest.mark.slow

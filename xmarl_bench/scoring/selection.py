@@ -79,7 +79,8 @@ def choose_policies(
     `all`: the policies trained for one of the given tasks and team sizes; those with their own code only with
     `trust_code`. `finished`: the same without checkpoints along training. The name of a family: the finished
     ones that belong to it. `default`: the best seed of each cell, of DEFAULT_FAMILY if the cell has one. A
-    policy given by name, bundle or module:factory runs with every given team size, or its own for `all`.
+    policy given by name, bundle or module:factory, also beside these, runs with every given team size, or its
+    own for `all`.
 
     teams: team sizes to run the chosen policies with, in place of those they were trained for. Raises
     InputError if the code of every policy fails.
@@ -101,24 +102,22 @@ def choose_policies(
     isolation = None if limits is None else Isolation(limits)
     wanted_tasks = [ask_task(task, isolation, trust_code=trust_code).name for task in tasks if task != ALL]
     any_task = ALL in tasks
-    meant = _meant(names, code if trust_code else None)
-    if meant is not None:
-        chosen = {
-            name: each
-            for name, each in meant.items()
-            if (any_task or each.card.task in wanted_tasks) and (sizes is None or each.card.n_agents in sizes)
-        }
-        if not chosen:
-            tasks_asked = "any task" if any_task else " or ".join(wanted_tasks)
-            sizes_asked = "any number of" if sizes is None else " or ".join(map(str, sizes))
-            raise InputError(
-                f"no policy is installed for {tasks_asked} with {sizes_asked} agents: "
-                f"see `xmarl-bench list policies`, or give the folder of a policy bundle."
-            )
-        sizes = None
-    else:
-        chosen = {}
-        for name in names:
+    words, meant = _meant(names, code if trust_code else None)
+    chosen = {
+        name: each
+        for name, each in meant.items()
+        if (any_task or each.card.task in wanted_tasks) and (sizes is None or each.card.n_agents in sizes)
+    }
+    own_size = set(chosen)  # policies that run with the team size that they were trained for
+    if words and not chosen:
+        tasks_asked = "any task" if any_task else " or ".join(wanted_tasks)
+        sizes_asked = "any number of" if sizes is None else " or ".join(map(str, sizes))
+        raise InputError(
+            f"no policy is installed for {tasks_asked} with {sizes_asked} agents: "
+            f"see `xmarl-bench list policies`, or give the folder of a policy bundle."
+        )
+    for name in names:
+        if name not in words and name not in chosen:
             place = place_of(name, trust_code=trust_code)
             chosen |= _bundled(name, place) if isinstance(place, Path) else code(name)
     if failures and not chosen:
@@ -132,7 +131,8 @@ def choose_policies(
             raise InputError(
                 f"two policies are named {card.name!r} ({name} is one): rename one, or leave it out."
             )
-        cells = tuple(Cell(card.task, n) for n in (dict.fromkeys(teams) or sizes or [card.n_agents]))
+        asked = dict.fromkeys(teams) or (None if name in own_size else sizes) or [card.n_agents]
+        cells = tuple(Cell(card.task, n) for n in asked)
         if not any_task and card.task not in wanted_tasks:
             check_fit(card, Cell(wanted_tasks[0], cells[0].n_agents))  # raises the reason
         for cell in cells:
@@ -141,14 +141,16 @@ def choose_policies(
     return selected, failures
 
 
-def _meant(names: Sequence[str], code: Callable[[str], dict[str, Chosen]] | None) -> dict[str, Chosen] | None:
-    """The policies meant by `all`, `finished`, `default` or a family, by name; None without such a word.
+def _meant(
+    names: Sequence[str], code: Callable[[str], dict[str, Chosen]] | None
+) -> tuple[set[str], dict[str, Chosen]]:
+    """The words `all`, `finished`, `default` and families among the names, and the policies that they mean.
 
     code: opens policies that are code; None: leaves them out.
     """
     installed, failures = registered_policies()
     if not set(names) - set(installed):
-        return None
+        return set(), {}
     found: dict[str, Chosen] = {}
     for name, place in installed.items():
         if isinstance(place, Path):
@@ -158,7 +160,7 @@ def _meant(names: Sequence[str], code: Callable[[str], dict[str, Chosen]] | None
                 failures.append(error)
     words = {ALL, FINISHED, DEFAULT, *(each.card.family for each in found.values())} & set(names)
     if not words:
-        return None
+        return set(), {}
     if failures:  # the policy that failed may be meant
         raise failures[0]
     if code is not None:
@@ -166,11 +168,11 @@ def _meant(names: Sequence[str], code: Callable[[str], dict[str, Chosen]] | None
             if not isinstance(place, Path):
                 found |= code(name)
     if ALL in words:
-        return found
+        return words, found
     finished = {name: each for name, each in found.items() if not is_checkpoint(each.card)}
     cards_of_them = [each.card for each in finished.values()]
     best = {card.name for card in default_policies(cards_of_them)} if DEFAULT in words else set()
-    return {
+    return words, {
         name: each
         for name, each in finished.items()
         if FINISHED in words or each.card.family in words or each.card.name in best
@@ -187,15 +189,18 @@ def explainers_meant(names: Sequence[str]) -> list[str]:
 
     Loads nothing. Raises InputError for an unknown name, and for a file that cannot be read.
     """
-    if ALL in names:
-        return [name for name in explainer_names() if name not in CONTROL_NAMES]
+    meant: list[str] = []
     for name in names:
+        if name == ALL:
+            meant += [each for each in explainer_names() if each not in CONTROL_NAMES]
+            continue
         check_named(name)
         if is_reference(name):
             check_reference(name)
         elif name not in CONTROL_NAMES:
             explainer_plugin(name)
-    return list(dict.fromkeys(names))
+        meant.append(name)
+    return list(dict.fromkeys(meant))
 
 
 def select_explainers(

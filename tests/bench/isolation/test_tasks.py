@@ -7,7 +7,7 @@ import re
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -215,7 +215,7 @@ def test_environments_that_nobody_plays_any_more_are_released() -> None:
 class Counting(worlds.Line):
     """Observations are the number of such environments in the process, beside the step."""
 
-    alive: Any = weakref.WeakSet()
+    alive: ClassVar[Any] = weakref.WeakSet()
 
     def reset(self, seed: int | None = None, options: Any = None) -> Any:
         _, infos = super().reset(seed, options)

@@ -6,11 +6,12 @@ from typing import Any
 
 import pytest
 
+from tests.conftest import MakeBundle
 from tests.helpers.policies import small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.default_policies import default_policies
-from xmarl_bench.scoring.selection import select_policies
+from xmarl_bench.scoring.selection import explainers_meant, select_policies
 
 
 def card(name: str, success: float, free: float = 1.0, makespan: float = 100.0, **fields: Any) -> PolicyCard:
@@ -88,3 +89,22 @@ def test_defaults_of_the_shipped_policies() -> None:
     assert [[cell.n_agents for cell in cells] for _, _, cells in deployed] == [[8, 10]] * 2
     with pytest.raises(InputError, match="no policy is installed"):
         select_policies(["default"], ["blind_discovery_v0"], ["7"])
+
+
+def test_a_policy_given_beside_a_word_is_added(make_bundle: MakeBundle) -> None:
+    mine, task = str(make_bundle(task="blind_discovery_v0")), ["blind_discovery_v0"]
+    chosen = select_policies(["default", mine, "discovery-n3-paper-lambda0-seed0"], task, ["3", "4"])
+    added = {card.name: [cell.n_agents for cell in cells] for _, card, cells in chosen[-2:]}
+    assert added == {"small": [3, 4], "discovery-n3-paper-lambda0-seed0": [3, 4]}
+    assert [card.n_agents for _, card, _ in chosen[:-2]] == [3, 3, 4, 4]
+    with pytest.raises(InputError, match="no-such-policy"):
+        select_policies(["default", "no-such-policy"], ["all"], ["all"])
+
+
+def test_an_explainer_given_beside_all_is_added() -> None:
+    every = explainers_meant(["all"])
+    assert "attention" in every
+    assert "random" not in every
+    assert explainers_meant(["random", "all", "attention", "random"]) == ["random", *every]
+    with pytest.raises(InputError, match="no-such-explainer"):
+        explainers_meant(["all", "no-such-explainer"])

@@ -30,6 +30,9 @@ def command_of(entry: Entry, out: str = "again") -> str:
         words += ["--behaviour-episodes", str(max(played))]
     if entry.policy.trusted_code or protocol.tasks:
         words.append("--trust-code")
+    code = [entry.explainer, entry.policy, *(protocol.tasks or {}).values()]
+    if any(record.isolated is False for record in code):
+        words.append("--no-isolate")
     if entry.submitter is not None:
         words += ["--submitter", entry.submitter]
     return shlex.join([*words, "--out", out])

@@ -89,7 +89,7 @@ def score(
         Literal["tasks", "planted"],
         what_option(
             help="`planted`: policies whose relevant messages are known by construction, instead of the "
-            "tasks; uses --explainer, --seed and --out only."
+            "tasks; uses --explainer, --seed, --out, --isolate and --answer-seconds only."
         ),
     ] = "tasks",
 ) -> None:

@@ -115,7 +115,7 @@ def verify(
                 places.append((path, folder))
                 units.append(Unit(checked.part(file), file))
     if n_skipped:
-        print(f"{n_skipped} entries are signed by {by} already, {len(units)} are left.", file=sys.stderr)
+        print(f"signed by {by} already: {n_skipped}; left: {len(units)}.", file=sys.stderr)
     verdicts = {}
     for k, verdict in verify_all(units, options, workers):
         (path, folder), file = places[k], units[k].file

@@ -27,21 +27,22 @@ def read_member(bundle: Path, name: str) -> bytes:
     """Read `policy.json` or `policy.safetensors` of a bundle, a folder or a zip. Raises InputError."""
     if bundle.suffix == ".zip":
         return _from_zip(bundle, name)
-    return read_file(bundle / name, MAX_BYTES[name])
+    return read_file(bundle / name, MAX_BYTES[name], "give the folder of a policy")
 
 
-def read_file(path: Path, max_bytes: int) -> bytes:
+def read_file(path: Path, max_bytes: int, what_to_do: str = "give another file") -> bytes:
     """Read a regular file of at most `max_bytes`. Raises InputError for links, devices and pipes."""
     try:
         if NO_FOLLOW == 0 and path.is_symlink():  # Windows opens the target
             raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
         handle = os.open(path, os.O_RDONLY | NO_FOLLOW | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:
-        why = "it is a symbolic link" if path.is_symlink() else str(error.strerror)
-        raise InputError(f"{path} cannot be read ({why}): give the folder of a policy.") from None
+        if path.is_symlink():
+            raise InputError(f"{path} is a symbolic link: give the file that it points to.") from None
+        raise InputError(f"{path} cannot be read ({error.strerror}): {what_to_do}.") from None
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
-        raise InputError(f"{path} is not a regular file: give the folder of a policy.")
+        raise InputError(f"{path} is not a regular file: {what_to_do}.")
     with os.fdopen(handle, "rb") as file:
         size = os.fstat(file.fileno()).st_size
         data = file.read(min(size, max_bytes) + 1)  # reading takes as much memory as it is asked for

@@ -103,12 +103,12 @@ def evaluate(
 
 
 def _gain(name: str, heard: Sequence[Episode], unheard: Sequence[Episode]) -> dict[str, float] | None:
-    """The gain of a metric with its interval; None if the task does not tell the metric."""
+    """The gain of a metric with its interval; None if fewer than two episodes tell the metric."""
     a, b = ([getattr(episode, name) for episode in episodes] for episodes in (heard, unheard))
     gain = over_units([a], [b])
-    if gain.value is None:
+    if gain.value is None or gain.interval is None:
         return None
-    low, high = gain.interval or (gain.value, gain.value)
+    low, high = gain.interval
     return {"value": gain.value, "low": low, "high": high}
 
 

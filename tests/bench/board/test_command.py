@@ -32,6 +32,7 @@ from xmarl_bench.entry.file import read_entries
         ],
         ["--episodes", 2, "--max-cycles", 8, "--behaviour-episodes", 1, "--agents", 4],
         ["--episodes", 1, "--max-cycles", 8, "--no-behaviour", "all"],
+        ["--episodes", 1, "--max-cycles", 8, "--no-behaviour", "all", "--no-isolate"],
     ],
 )
 def test_the_command_reproduces_the_entry(
@@ -41,8 +42,13 @@ def test_the_command_reproduces_the_entry(
     monkeypatch: pytest.MonkeyPatch,
     options: list[object],
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     install(monkeypatch, small=make_bundle(name="small"))
-    given = ["score", "--policy", "small", "--explainer", "random", "--out", tmp_path / "one", *options]
+    (tmp_path / "own.py").write_text(
+        "import torch\n\ndef own(policy, observations):\n    return torch.ones(*observations.shape[:2], 3)\n"
+    )
+    explainer = "own.py:own" if "--no-isolate" in options else "random"
+    given = ["score", "--policy", "small", "--explainer", explainer, "--out", tmp_path / "one", *options]
     assert run_cli(*given).code == 0
     ((_, entry),) = read_entries(tmp_path / "one" / "entries")
     program, *words = shlex.split(command_of(entry, str(tmp_path / "two")))

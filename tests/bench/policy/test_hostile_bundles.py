@@ -203,7 +203,7 @@ def test_links_are_refused_where_opening_follows_them(
     (tmp_path / "secret").write_bytes(b"{}")
     (tmp_path / CARD).symlink_to(tmp_path / "secret")
     monkeypatch.setattr(untrusted, "NO_FOLLOW", 0)
-    with pytest.raises(InputError, match="it is a symbolic link"):
+    with pytest.raises(InputError, match="is a symbolic link: give the file that it points to"):
         untrusted.read_file(tmp_path / CARD, 10)
 
 

@@ -60,6 +60,14 @@ def test_the_record_fits_a_policy_card(monkeypatch: pytest.MonkeyPatch) -> None:
     assert record["with_messages"]["no_object_collision"] is None
 
 
+def test_one_episode_does_not_show_that_messages_help() -> None:
+    (performance,) = evaluate(
+        [(small_policy(6), Cell("blind_navigation_v0", 3))], Sampling(episodes=1, max_cycles=5)
+    )
+    assert performance.messages_gain == {}
+    assert performance.messages_help is None
+
+
 def test_a_policy_whose_messages_are_zero_performs_the_same_without_them() -> None:
     policy: GraphPolicy = small_policy(6)
     with torch.no_grad():

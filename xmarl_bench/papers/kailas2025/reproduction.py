@@ -10,6 +10,7 @@ earlier one of its name and families; other studies of the file stay.
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -214,7 +215,8 @@ def read_results(folder: Path) -> Json:
     try:
         results: Json = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read ({error}): run `xmarl-bench study` first.") from None
+        why = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{path} cannot be read ({why}): run `xmarl-bench study` first.") from None
     if results.get("schema") != SCHEMA:
         raise InputError(f"{path} is of schema {results.get('schema')}, not {SCHEMA}: run the study again.")
     return results
@@ -236,4 +238,8 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    try:
+        typer.run(main)
+    except InputError as error:
+        typer.echo(f"xmarl-bench: {error}", err=True)
+        sys.exit(2)

@@ -11,6 +11,7 @@ timesteps of each of the first EPISODES scoring episodes of the default policies
 from __future__ import annotations
 
 from collections import defaultdict
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -63,9 +64,9 @@ def of_episode(policy: GraphPolicy, reference: torch.Tensor, episode: Episode) -
     return [budgeted_fidelity(blind, drawn.random, drawn.oracle), *scored]
 
 
-def of_policy(name: str) -> tuple[str, list[float]]:
+def of_policy(folder: Path) -> tuple[str, list[float]]:
     """The task, and means over episodes."""
-    policy, card = load_policy(find_policies()[name])
+    policy, card = load_policy(folder)
     assert isinstance(policy, GraphPolicy)
     reference = fit_states(policy, card.task, card.n_agents)
     seeds = tuple(episode_seeds(0, EPISODES))
@@ -77,8 +78,9 @@ def of_policy(name: str) -> tuple[str, list[float]]:
 if __name__ == "__main__":
     torch.set_num_threads(1)
     by_task = defaultdict(list)
-    for card in default_policies(load_card(folder) for folder in find_policies().values()):
-        task, values = of_policy(card.name)
+    folders = find_policies()
+    for card in default_policies(map(load_card, folders.values())):
+        task, values = of_policy(folders[card.name])
         print(f"{card.name}: {', '.join(f'{value:.3f}' for value in values)}", flush=True)
         by_task[task].append(values)
     print("| task | best without knowing the draws | attention, by the draws | attention, over all states |")

@@ -19,7 +19,6 @@ from typing import Final
 
 import torch
 
-from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.oracle import oracle_kind
 from xmarl_bench.plugins.names import find_policies
 from xmarl_bench.plugins.registry import find_explainer
@@ -65,12 +64,11 @@ def cost(name: str, n_agents: int) -> tuple[str, float, float]:
         task = card.task
     (episode,) = roll_out(Cell(task, n_agents).make(), policy, [SEED])
     reference = reference_states(policy, task, n_agents)
-    controls = tuple(CONTROLS.values())
 
     def seconds(timesteps: int) -> float:
         started = time.process_time()
         explainers = (find_explainer("attention"),)
-        result = Unit(policy, explainers, episode, 0, timesteps, False, reference, controls).run()
+        result = Unit(policy, explainers, episode, 0, timesteps, False, reference).run()
         assert result.shared is not None
         return (time.process_time() - started) / result.shared.timesteps
 

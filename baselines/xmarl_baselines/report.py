@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 from statistics import median
 from typing import Annotated
@@ -29,7 +30,8 @@ from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, load_policy
 from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies, is_checkpoint, selection_key
-from xmarl_bench.records.files import write_atomically, write_json
+from xmarl_bench.records.files import write_json
+from xmarl_bench.records.markdown import rewrite, with_part
 from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.evaluation import Performance, evaluate
 
@@ -182,6 +184,7 @@ def zero_shot_rows() -> list[Row]:
     return rows
 
 
+@cache
 def tables() -> dict[str, str]:
     """The tables of the READMEs, by the name in the markers around them."""
     cards = shipped_cards()
@@ -198,11 +201,8 @@ def tables() -> dict[str, str]:
 def filled(text: str) -> str:
     """A README with its tables brought up to date."""
     for name, table in tables().items():
-        begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-        if begin not in text:
-            continue
-        head, rest = text.split(begin)
-        text = f"{head}{begin}\n{table}\n{end}{rest.split(end)[1]}"
+        if f"<!-- {name}:begin -->" in text:
+            text = with_part(text, name, f"{table}\n")
     return text
 
 
@@ -262,7 +262,7 @@ def main(
     if zero_shot:
         measure_zero_shot()
     for readme in READMES:
-        write_atomically(readme, filled(readme.read_text(encoding="utf-8")).encode())
+        rewrite(readme, filled)
     draw(PICTURE)
 
 

@@ -49,9 +49,8 @@ def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --o
 
 def _ship_along_training(run: Path, policy: GraphPolicy, fields: dict[str, Any]) -> None:
     """Save the weights of the validations nearest to ALONG_TRAINING as policies, each measured."""
-    frames = fields["training"]["frames"]
+    frames, curve = fields["training"]["frames"], fields["training"]["curve"]
     for percent in ALONG_TRAINING:
-        curve = fields["training"]["curve"]
         validation = min(curve, key=lambda record: abs(record["frames"] - frames * percent / 100))
         weights = weights_at(run, validation)
         policy.load_state_dict(load_file(weights))

@@ -30,8 +30,8 @@ def command_of(entry: Entry, out: str = "again") -> str:
         words += ["--behaviour-episodes", str(max(played))]
     if entry.policy.trusted_code or protocol.tasks:
         words.append("--trust-code")
-    code = [entry.explainer, entry.policy, *(protocol.tasks or {}).values()]
-    if any(record.isolated is False for record in code):
+    of_tasks = (task.isolated for task in (protocol.tasks or {}).values())
+    if False in (explainer.isolated, entry.policy.isolated, *of_tasks):
         words.append("--no-isolate")
     if entry.submitter is not None:
         words += ["--submitter", entry.submitter]

@@ -93,10 +93,12 @@ def values_of(
     return found
 
 
-def score_of(policy: Json, explainer: str, metric: str = ORDER["by"]) -> float | None:
-    """Mean over an explainer's rows of a policy; None without a value."""
+def score_of(policy: Json, explainer: str) -> float | None:
+    """Mean over an explainer's rows of a policy, in the board's order; None without a value."""
     rows = [row for row in policy["rows"] if row["explainer"] == explainer and not row["control"]]
-    return _mean([summary["value"] for row in rows if (summary := row["metrics"].get(metric)) is not None])
+    return _mean(
+        [summary["value"] for row in rows if (summary := row["metrics"].get(ORDER["by"])) is not None]
+    )
 
 
 def task_metric_of(policy: Json, metric: str) -> float | None:

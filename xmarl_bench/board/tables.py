@@ -50,8 +50,8 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
                 "protocol": key,
                 "oracle": cell.oracle_kind,
             }
-            groups = grouped.setdefault(canonical_json(scope), {})
-            scopes[canonical_json(scope)] = scope
+            place = canonical_json(scope)
+            groups, scopes[place] = grouped.setdefault(place, {}), scope
             name = entry.policy.name, entry.policy.weights_sha256
             if name not in groups:
                 groups[name] = Group(file, policy_record(entry, cell))

@@ -45,15 +45,13 @@ def isolate_policy(
 ) -> tuple[AskedPolicy, PolicyCard]:
     """A policy made in Python: it is sent to its process by value. Raises InputError if it cannot be."""
     if isinstance(policy, PolicyModule):
-        name, network = policy.name, policy.network
+        name, network, origin = policy.name, policy.network, origin_of(policy.network)
     else:
-        name, network = policy[1].name, policy[0]
+        name, network, origin = policy[1].name, policy[0], None
     if isinstance(network, nn.Module):  # else its process says what it is
         check_tensors(network, name)
     pickled = sendable(f"policy {name!r}", policy)
-    origin = None
     if isinstance(policy, PolicyModule):
-        origin = origin_of(policy.network)
         # Whoever runs the policy's code runs that of its task.
         ask_task(policy.task, isolation, trust_code=True)
     source = Source(f"policy {name}", None, isolation)

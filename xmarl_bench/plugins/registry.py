@@ -111,10 +111,7 @@ def open_policy(name: str, *, trust_code: bool = False) -> tuple[Policy, PolicyC
 
     Raises InputError if there is no such policy, and for code without `trust_code`.
     """
-    place = place_of(name, trust_code=trust_code)
-    if isinstance(place, Path):
-        return load_policy(place)
-    return run_policy(name, place)
+    return ask_policy(name, None, trust_code=trust_code)
 
 
 def ask_policy(
@@ -125,8 +122,10 @@ def ask_policy(
     isolation: None: in this process. Raises InputError as `open_policy` does, and if the process fails.
     """
     place = place_of(name, trust_code=trust_code)
-    if isolation is None or isinstance(place, Path):
-        return open_policy(name, trust_code=trust_code)
+    if isinstance(place, Path):
+        return load_policy(place)
+    if isolation is None:
+        return run_policy(name, place)
     if place is not None:
         question: dict[str, Any] = {"policy": name, "plugin": (place.name, place.value, place.group)}
         policy, card = open_elsewhere(

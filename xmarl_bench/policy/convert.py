@@ -39,6 +39,7 @@ from xmarl_bench.policy.untrusted import read_file
 from xmarl_bench.policy.wrapped import plain_name
 from xmarl_bench.records.strict_json import parse_json, shown
 
+SHOWN = 8  # names that a message lists
 MAX_BYTES = 512 * 1024 * 1024  # of a whole checkpoint, with critic and optimiser
 MAX_PICKLE = 4 * 1024 * 1024  # of the list of tensors, without their values
 ALLOCATES = re.compile(r"\S+ (bytearray|\w*Tensor|UntypedStorage|TypedStorage|_rebuild_wrapper_subclass)")
@@ -269,6 +270,6 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
     return data
 
 
-def _some(names: list[str], most: int = 8) -> str:
-    listed = ", ".join(shown(name).strip("'") for name in names[:most])
-    return f"{listed} and {len(names) - most} more" if len(names) > most else listed
+def _some(names: list[str]) -> str:
+    listed = ", ".join(shown(name).strip("'") for name in names[:SHOWN])
+    return f"{listed} and {len(names) - SHOWN} more" if len(names) > SHOWN else listed

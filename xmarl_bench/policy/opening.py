@@ -118,7 +118,7 @@ class Trial:
             torch.no_grad(),
             followed(self.network, edge_index, len(x)) as self.calls,
         ):
-            return call(self.network, x.clone(), edge_index.clone())
+            return call(self.network, x, edge_index.clone())
 
 
 def _repeats(again: Tensor, first: Tensor) -> bool:

@@ -49,11 +49,9 @@ class Performance:
         return asdict(self)
 
 
-def evaluate_policy(
-    policy: Policy, task: str, n_agents: int, *, episodes: int = 50, seed: int = 0
-) -> dict[str, Any]:
+def evaluate_policy(policy: Policy, task: str, n_agents: int, *, episodes: int = 50) -> dict[str, Any]:
     """One policy's `Performance` as its card records it."""
-    return evaluate([(policy, Cell(task, n_agents))], Sampling(episodes=episodes, seed=seed))[0].record()
+    return evaluate([(policy, Cell(task, n_agents))], Sampling(episodes=episodes))[0].record()
 
 
 @torch_defaults()

@@ -158,7 +158,8 @@ def _meant(
                 found |= _bundled(name, place)
             except InputError as error:
                 failures.append(error)
-    words = {ALL, FINISHED, DEFAULT, *(each.card.family for each in found.values())} & set(names)
+    families = {each.card.family for each in found.values()}
+    words = {name for name in names if name in {ALL, FINISHED, DEFAULT, *families}}
     if not words:
         return set(), {}
     if failures:  # the policy that failed may be meant

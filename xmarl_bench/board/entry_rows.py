@@ -14,7 +14,7 @@ from xmarl_bench.entry.fresh import headline, worse_on_fresh
 from xmarl_bench.entry.mask_digest import mask_digest
 from xmarl_bench.entry.metric_records import ControlMetrics, Metrics
 from xmarl_bench.entry.partial import partial_reason
-from xmarl_bench.entry.schema import CellResult, Entry
+from xmarl_bench.entry.schema import CellResult, Entry, ExplainerRecord
 from xmarl_bench.entry.training import training_of
 from xmarl_bench.records.files import canonical_json
 
@@ -35,6 +35,7 @@ class Group:
     rows: list[Json] = field(default_factory=list)
     controls: dict[str, Json] = field(default_factory=dict)
     episodes: dict[str, Floats] = field(default_factory=dict)  # file -> (E,) of the order; NaN where null
+    explainers: dict[str, bytes] = field(default_factory=dict)  # file -> see `identity_of`
 
     @property
     def ranked(self) -> list[Json]:
@@ -70,6 +71,12 @@ def policy_record(entry: Entry, cell: CellResult) -> Json:
         "metrics": _shown(cell.metrics, POLICY_METRICS, entry.protocol.episodes),
         "gate": gate_reason(cell.metrics),
     }
+
+
+def identity_of(explainer: ExplainerRecord) -> bytes:
+    """Equal for entries of the same explainer: same code, whatever its version, and same hyperparameters."""
+    code = explainer.distribution, explainer.entry_point, explainer.code_sha256
+    return canonical_json([*code, explainer.hyperparameters])
 
 
 def entry_row(file: str, entry: Entry, k: int) -> Json:

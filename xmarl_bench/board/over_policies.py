@@ -50,7 +50,9 @@ def rankings(listed: Sequence[tuple[Json, Sequence[Group]]]) -> list[Json]:
 
 def _ranking(pairs: Sequence[Scored]) -> Json:
     """Explainers by their mean over the policies that they were all scored on."""
-    by_name = [{row["explainer"]: row for row in reversed(group.ranked)} for _, group in pairs]
+    every = [{row["explainer"]: row for row in reversed(group.ranked)} for _, group in pairs]
+    unclear = _names_of_several(pairs)
+    by_name = [{name: row for name, row in each.items() if name not in unclear} for each in every]
     chosen, names = complete_part({k: sorted(rows) for k, rows in enumerate(by_name)})
     compared = [pairs[k] for k in chosen]
     design = _design(compared)
@@ -70,12 +72,14 @@ def _ranking(pairs: Sequence[Scored]) -> Json:
         | {"above": {c: _above(rows[name], [of.get(c) for of in control_rows], design) for c in BEATEN}}
         for name, place in zip(names, found, strict=True)
     ]
-    partial = sorted({name for each in by_name for name in each} - set(names))
-    unranked = [
-        _row_where(name, by_name, pairs)
-        | {"reason": f"scored on {sum(name in each for each in by_name)} of {len(by_name)} policies"}
-        for name in partial
-    ]
+    partial = sorted({name for each in every for name in each} - set(names))
+    reasons = {
+        name: f"scored on {sum(name in each for each in every)} of {len(every)} policies" for name in partial
+    }
+    reasons |= dict.fromkeys(
+        unclear, "entries are of other code or hyperparameters under the same name: remove or rename some"
+    )
+    unranked = [_row_where(name, every, pairs) | {"reason": reasons[name]} for name in partial]
     _, controls = complete_part({k: list(each) for k, each in enumerate(control_rows)})
     ranked_controls = [_row_where(name, control_rows, compared) for name in controls]
     return {
@@ -91,6 +95,15 @@ def _ranking(pairs: Sequence[Scored]) -> Json:
             ranked + unranked + ranked_controls, key=lambda row: (-row["value"], row["explainer"])
         ),
     }  # fmt: skip
+
+
+def _names_of_several(pairs: Sequence[Scored]) -> set[str]:
+    """Names of explainers whose entries are not all of the same code and hyperparameters."""
+    found: dict[str, set[bytes]] = {}
+    for _, group in pairs:
+        for row in group.ranked:
+            found.setdefault(row["explainer"], set()).add(group.explainers[row["file"]])
+    return {name for name, identities in found.items() if len(identities) > 1}
 
 
 def _design(pairs: Sequence[Scored]) -> Design:

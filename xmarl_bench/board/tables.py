@@ -16,6 +16,7 @@ from xmarl_bench.board.entry_rows import (
     Json,
     control_row,
     entry_row,
+    identity_of,
     key_of,
     policy_record,
     value_of,
@@ -59,6 +60,7 @@ def board_of(entries: Iterable[tuple[str, Entry]]) -> Json:
             if file < group.file:
                 group.file, group.policy = file, policy_record(entry, cell)
             group.rows.append(entry_row(file, entry, k))
+            group.explainers[file] = identity_of(entry.explainer)
             reasons[key_of(cell.not_measured)] = cell.not_measured
             group.episodes[file] = np.array(
                 [getattr(row, ORDER["by"]) for row in cell.episodes], dtype=np.float64

@@ -19,6 +19,7 @@ from xmarl_bench.entry.protocol import ABSENCE_EPISODES, SAMPLED, SANITY_EPISODE
 from xmarl_bench.entry.schema import CellResult, Entry
 from xmarl_bench.metrics.budgeted_fidelity import SMALLEST, Floats, budgeted_fidelity, over_absences
 from xmarl_bench.metrics.table import OPTIONAL, OTHER_ABSENCES, UNDER_ABSENCES
+from xmarl_bench.plugins.names import OURS, is_shipped
 from xmarl_bench.records.strict_json import shown
 from xmarl_bench.reproducible import episode_seeds
 from xmarl_bench.submission.control_consistency import control_findings
@@ -41,6 +42,9 @@ def entry_findings(entry: Entry) -> Iterator[str]:
     explained = sum(row.timesteps for cell in entry.results for row in cell.episodes)
     if entry.cost.explained_timesteps != explained:
         yield f"cost.explained_timesteps is {entry.cost.explained_timesteps}, but the rows have {explained}."
+    explainer = entry.explainer
+    if is_shipped(explainer.name) and explainer.distribution != OURS and not explainer.control:
+        yield f"explainer.name is {explainer.name}, the name of one that {OURS} ships: rename yours."
     cells = [(cell.task, cell.n_agents) for cell in entry.results]
     if len(set(cells)) != len(cells):
         yield "results hold a cell twice."

@@ -162,6 +162,17 @@ def test_ranking_over_policies_has_each_explainers_mean() -> None:
     assert cells == [(None, None), *(("blind_navigation_v0", n) for n in (None, 3, 4, 5))]
 
 
+def test_entries_of_other_code_under_one_name_are_not_ranked_over_policies() -> None:
+    first, other = made_entry("policy0", "mine", 0.9), made_entry("policy0", "mine", 0.4)
+    entries = [*made_board(["policy0", "policy1"], {"good": 0.8}), first, made_entry("policy1", "mine", 0.9)]
+    for more, rank in (([], 1), ([other], None)):  # its hyperparameters differ
+        overall = next(each for each in board([*entries, *more])["rankings"] if each["task"] is None)
+        rows = {row["explainer"]: row for row in overall["rows"]}
+        assert rows["mine"]["rank"] == rank
+    assert rows["mine"]["reason"].startswith("entries are of other code or hyperparameters under the same")
+    assert rows["good"]["rank"] == 1
+
+
 def test_gated_policies_are_not_ranked() -> None:
     listed = [made_entry("fine", "a", 0.5), made_entry("failing", "a", 0.9, success_rate=0.2)]
     made = board(listed)

@@ -102,6 +102,8 @@ def test_an_entry_says_that_rewards_are_not_finite() -> None:
         assert getattr(cell.metrics, name) is None
         assert cell.not_measured[name] == why
     assert cell.metrics.fid_delta.n == 2
+    (policy,) = board_of([("x.json", entry)])["tables"][0]["policies"]
+    assert policy["gate"] == "messages are not shown to help: neither success nor reward is measured"
 
 
 @pytest.mark.slow

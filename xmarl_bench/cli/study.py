@@ -133,7 +133,8 @@ def study(
         if not pairs:
             tables.exit_for_failures(failed, len(not_loaded) + len(requests))
         names = tuple(explainer.name for explainer in explainers)
-        data = StudyData(chosen, names, pairs, Samples.of(pairs), existing=entries is not None)
+        existing = entries is not None and entries.resolve().name == "leaderboard"
+        data = StudyData(chosen, names, pairs, Samples.of(pairs), existing=existing)
         results = write_study(folder, data, figures=figures)
     verdicts = [claim["verdict"] for claim in results["ledger"]]
     by_verdict = ", ".join(f"{verdicts.count(each)} {each}" for each in sorted(set(verdicts)))

@@ -86,7 +86,7 @@ def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
 ) -> None:
     # Of the same weights, as checkpoints before the term begins.
     folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.05)]
-    scored, board, judged = (tmp_path / name for name in ("scored", "board", "judged"))
+    scored, board, judged = (tmp_path / name for name in ("scored", "leaderboard", "judged"))
     assert run(run_cli, "main", folders, scored, "--no-figures").code == 0
     explainers = [word for name in plan.EXPLAINERS for word in ("--explainer", name)]
     options = (*chosen(folders), *explainers, *SMALL, "--no-behaviour", "all")

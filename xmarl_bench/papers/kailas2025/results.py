@@ -40,7 +40,7 @@ class StudyData:
     explainers: tuple[str, ...]
     pairs: Sequence[tuple[PolicyCard, Entry]]
     samples: Samples
-    existing: bool = False  # whether the entries existed before, so that nothing was scored
+    existing: bool = False  # whether the entries are those of leaderboard/, so that nothing need be scored
 
 
 def results_of(data: StudyData) -> Json:

@@ -211,7 +211,8 @@ def _in_another_process(episode: Callable[[], str], hash_seed: str) -> str:
         capture_output=True,
         check=False,
     )
-    assert run.returncode == 0, f"there it fails with {run.stderr.decode().strip().splitlines()[-1]}"
+    said = run.stderr.decode().strip().splitlines() or [f"exit code {run.returncode}"]
+    assert run.returncode == 0, f"there it fails with {said[-1]}"
     return str(run.stdout.decode().splitlines()[-1])
 
 

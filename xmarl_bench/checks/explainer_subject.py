@@ -14,6 +14,7 @@ from xmarl_bench.explain.explainer import (
     Explainer,
     fit_explainer,
     mask_of_explainer,
+    on_graph,
     returned_by,
     run_explainer,
 )
@@ -39,7 +40,8 @@ class ExplainerSubject:
     @cached_property
     def mask(self) -> Tensor:
         """(S, N, N). Raises InputError if the explainer returned no valid mask."""
-        return mask_of_explainer(self.explainer, self.returned, *self.observations.shape[:2])
+        mask = mask_of_explainer(self.explainer, self.returned, *self.observations.shape[:2])
+        return on_graph(mask, self.policy, self.observations)
 
     @cached_property
     def planted_mask(self) -> Tensor:

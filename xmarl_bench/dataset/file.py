@@ -34,7 +34,7 @@ def write_dataset(folder: Path, dataset: Dataset) -> Path:
     write_atomically(path, save(arrays, metadata={CARD: card.model_dump_json()}))
     write_atomically(path.with_suffix(".md"), card.page(described).encode())
     if dataset.bundle is not None:
-        write_bundle(folder / POLICIES / card.name, *dataset.bundle)
+        write_bundle(folder / POLICIES / dataset.bundle[0].name, *dataset.bundle)
     return path
 
 

@@ -77,7 +77,7 @@ def played_dataset(
     arrays["timestep"] = np.concatenate([np.arange(each.makespan) for each in played])
     arrays["seed"] = np.array(seeds)
     about = Card(
-        name=card.name,
+        name=card.name if cell.n_agents == card.n_agents else f"{card.name}-n{cell.n_agents}",
         task=cell.task,
         n_agents=cell.n_agents,
         episodes=episodes,

@@ -141,9 +141,13 @@ def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, se
     else:
         returned = elsewhere.explain(policy, observations, seed, explainer.simulator)
         explainer = replace(explainer, signed=False)  # its process has mapped it to [0, 1]
-    mask = mask_of_explainer(explainer, returned, n_steps, n_agents)
+    return on_graph(mask_of_explainer(explainer, returned, n_steps, n_agents), policy, observations)
+
+
+def on_graph(mask: Tensor, policy: Policy, observations: Tensor) -> Tensor:
+    """(S, N, N) -> the same, and 0 where the policy's graph has no edge."""
     adjacency = policy.adjacency(observations)
-    return mask if adjacency is None else mask * adjacency  # 0 where the graph has no edge
+    return mask if adjacency is None else mask * adjacency
 
 
 def returned_by(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> object:

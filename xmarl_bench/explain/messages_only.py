@@ -16,9 +16,10 @@ from torch import Tensor
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.adapters import as_explainer
 from xmarl_bench.explain.control_names import MESSAGES_ONLY
+from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
 from xmarl_bench.explain.explainer import Explain, Explainer, Fit, explain_of
 from xmarl_bench.explain.node_importance import as_edge_masks
-from xmarl_bench.explain.returned_mask import as_floats
+from xmarl_bench.explain.returned_mask import as_floats, finite
 from xmarl_bench.policy import ActionDistribution, Policy
 
 
@@ -77,12 +78,14 @@ def messages_only(thing: object) -> Explainer:
             f"explainer {explainer.name!r} plays on in the world of an episode: it cannot be asked about "
             f"messages alone."
         )
+    mapped = {"normaliser": NORMALISER} if explainer.signed else {}
     return replace(
         explainer,
         name=f"{explainer.name}{MESSAGES_ONLY}",
         explain=_asked(explainer, explain_of(explainer)),
         summary=f"{explainer.summary}; an agent always hears itself",
-        hyperparameters={**explainer.hyperparameters, "own_edge": "kept"},
+        hyperparameters={**explainer.hyperparameters, **mapped, "own_edge": "kept"},
+        signed=False,
         fit=None if explainer.fit is None else _asked_when_fitted(explainer, explainer.fit),
         node_importance=None,
         origin=None,
@@ -95,7 +98,11 @@ def _asked(explainer: Explainer, explain: Explain) -> Explain:
         returned = explain(OwnKept(policy), observations, generator)
         shape = n_steps, n_agents, n_agents
         masks = as_edge_masks(explainer.name, returned, shape, explainer.node_importance)
-        return _with_own(as_floats(explainer.name, masks, shape))
+        floats = as_floats(explainer.name, masks, shape)
+        if explainer.signed:  # own edges take no part in the scale of a row
+            own = torch.eye(n_agents, dtype=floats.dtype, device=floats.device)
+            floats = signed_to_unit(finite(explainer.name, floats) * (1.0 - own))
+        return _with_own(floats)
 
     return about_messages
 

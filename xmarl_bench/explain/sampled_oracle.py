@@ -131,7 +131,7 @@ class Best:
     def take(self, kept: Bools, delta: Floats) -> None:
         """Take over (K, S, N, N) masks with (K, S, N) FidDelta where they are better."""
         value = self.per_unit(delta)
-        better = ~(value <= self.value)  # NaN counts as better, so that it stays visible
+        better = ~(value <= self.value) & ~np.isnan(self.value)  # NaN counts as best: it stays visible
         self.value = np.where(better, value, self.value)
         self.kept = np.where(better[..., None], kept, self.kept)
 
@@ -198,7 +198,7 @@ def ascend(removal: Removal, edges: Edges, best: Best) -> None:
                 tried[c, :, i, pair] ^= there
             found = best.per_unit(edges.fid_delta(removal, tried))[..., 0]  # (C, S)
             chosen = found.argmax(axis=0)
-            better = ~(found[chosen, step] <= value)
+            better = ~(found[chosen, step] <= value) & ~np.isnan(value)
             value = np.where(better, found[chosen, step], value)
             kept = np.where(better[:, None, None], tried[chosen, step], kept)
         best.kept[k], best.value[k, :, 0] = kept, value

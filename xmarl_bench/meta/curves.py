@@ -7,6 +7,7 @@ is the mean over the other three (xmarl_bench.meta.right_ranking).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -99,7 +100,15 @@ def trained_curves(
                         values = [_without(row, right, metric) for row in rows]
                         measured.setdefault((form, right, metric), []).append(values)
     for (form, right, metric), each in measured.items():
-        yield Curve(card.name, form, right, metric, tuple(np.mean(each, axis=0).tolist()))
+        yield Curve(card.name, form, right, metric, tuple(_mean_of_numbers(each)))
+
+
+def _mean_of_numbers(rows: Sequence[Sequence[float]]) -> list[float]:
+    """Of each column; NaN where it holds no number."""
+    values = np.asarray(rows, dtype=np.float64)
+    told = ~np.isnan(values)
+    total, n = values.sum(axis=0, where=told), told.sum(axis=0)
+    return np.divide(total, n, out=np.full(total.shape, np.nan), where=n > 0).tolist()  # type: ignore[no-any-return]
 
 
 def states_of(
@@ -116,6 +125,8 @@ def states_of(
 def followed(curves: Sequence[Curve], metric: str, form: Form) -> Followed:
     """How well a metric follows the steps, over its curves in one form; NaN if it was not measured."""
     asked = [each for each in curves if (each.metric, each.form) == (metric, form)]
+    if not asked:
+        return Followed(math.nan, math.nan, math.nan)
     within = [each.follows for each in asked]
     pooled = [value for each in asked for value in each.values]
     over = follows(pooled, NOISE * len(asked), higher_is_better=is_higher_better(metric))

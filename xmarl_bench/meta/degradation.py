@@ -12,6 +12,7 @@ S is the number of timesteps, N agents.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Final
@@ -67,8 +68,10 @@ def with_messages(mask: Tensor, messages: Floats) -> Tensor:
 def follows(values: Sequence[float], noise: Sequence[float], *, higher_is_better: bool) -> float:
     """Spearman's correlation of a metric with the quality of the ranking: 1 if it gets worse at every step.
 
-    0 if the metric is constant. `noise` may hold a value several times, as over policies.
+    0 if the metric is constant, NaN if a value is. `noise` may hold a value several times, as over policies.
     """
     better = np.asarray(values, dtype=np.float64) * (1.0 if higher_is_better else -1.0)
+    if np.isnan(better).any():
+        return math.nan
     found = rank_correlation(better, -np.asarray(noise))
     return 0.0 if np.isnan(found) else found

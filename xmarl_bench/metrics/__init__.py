@@ -12,14 +12,12 @@ from xmarl_bench.metrics.budgeted_fidelity import (
     choices,
     fid_delta_at_k,
     fid_delta_table,
-    mask_of_senders,
     oracle_at_k,
     other_senders,
     others_table,
     over_absences,
     random_at_k,
     rows_within,
-    top_k_rows,
 )
 from xmarl_bench.metrics.fidelity import Fidelity, fidelity, prediction_change
 from xmarl_bench.metrics.mask_mass import mask_mass
@@ -29,6 +27,6 @@ from xmarl_bench.metrics.unfaithfulness import categorical_kl, graph_explanation
 __all__ = [
     "Fidelity", "attention_distance", "attention_entropy", "budgeted_fidelity", "categorical_kl", "choices",
     "fid_delta_at_k", "fid_delta_table", "fidelity", "graph_explanation_unfaithfulness", "kl_divergence",
-    "mask_mass", "mask_of_senders", "oracle_at_k", "other_senders", "others_table", "over_absences",
-    "prediction_change", "random_at_k", "rank_correlation", "rows_within", "top_k_rows",
+    "mask_mass", "oracle_at_k", "other_senders", "others_table", "over_absences",
+    "prediction_change", "random_at_k", "rank_correlation", "rows_within",
 ]  # fmt: skip

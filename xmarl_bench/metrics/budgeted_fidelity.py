@@ -87,29 +87,6 @@ def oracle_at_k(delta: Floats, edges: Edges | None = None) -> Floats:
     )
 
 
-def top_k_rows(mask: NDArray[np.floating], noise: Floats, edges: Edges | None = None) -> NDArray[np.int64]:
-    """(S, N, M) -> (M - 1, S, N): one row of the k highest senders, k = 1 .. M - 1, for teams that act on it.
-
-    noise: (S, N, M), independent and uniform; breaks ties between equal values of the mask. If k exceeds a
-    receiver's P senders, the row holds bits of absent ones too, which change nothing.
-    """
-    value = mask.astype(np.float64)
-    value = value if edges is None else np.where(edges, value, -np.inf)
-    order = np.lexsort((noise, -value), axis=-1)  # the last key is the primary one
-    return np.moveaxis(np.cumsum(1 << order, axis=-1)[..., :-1], -1, 0)
-
-
-def mask_of_senders(rows: NDArray[np.int64], senders: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(S, N) rows -> (S, N, N) mask: 1 on the edges of `senders` (N, N) that a row keeps, 0 elsewhere.
-
-    senders: the M edges of each receiver that are ranked, in the order of a row's bits.
-    """
-    bits = (rows[..., None] >> np.arange(senders[0].sum())) & 1
-    mask = np.zeros((len(rows), *senders.shape), dtype=np.float32)
-    mask[:, senders] = bits.reshape(len(rows), -1)
-    return mask
-
-
 def budgeted_fidelity(explained: Floats, random: Floats, oracle: Floats) -> float:
     """Three arrays (K,) -> one number: 0 for a random ranking, 1 for the best; NaN if every k is skipped."""
     room = oracle - random

@@ -1,9 +1,9 @@
 """The hash of an object and of its code, for code that no version number identifies.
 
-Code of an installed distribution counts by name, because its version identifies it. The user's own code (a
-script, a notebook, a module beside it, an editable install) counts twice: as sources on disk, with the
-modules beside it, and as it is in memory, down to globals, closures, defaults, attributes and tensors. Two
-processes get the same hash for the same object. Objects that cannot be pickled have no hash.
+Code of an installed distribution counts by name and version. The user's own code (a script, a notebook, a
+module beside it, an editable install) counts twice: as sources on disk, with the modules beside it, and as it
+is in memory, down to globals, closures, defaults, attributes and tensors. Two processes get the same hash for
+the same object. Objects that cannot be pickled have no hash.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Any
 import cloudpickle
 from torch import Tensor
 
-from xmarl_bench.origin.installed import HARNESS, is_own
+from xmarl_bench.origin.installed import HARNESS, distribution_of, is_own, package_version
 
 LOOKS_UP = ("LOAD_GLOBAL", "LOAD_NAME")
 NO_CONTENT = ("__dict__", "__weakref__", "__slotnames__", "_abc_impl")  # attributes of every class
@@ -46,14 +46,21 @@ def harness_sources() -> Iterator[tuple[str, Path]]:
 
 
 def object_sha256(thing: object) -> str | None:
-    """The hash; None if the object cannot be pickled or its sources cannot be read."""
+    """The hash; None if the object cannot be pickled or its sources cannot be read.
+
+    It changes with the version of an installed library whose objects the thing refers to. What a function
+    imports when it is called, and what these libraries need, is not seen.
+    """
     digest = hashlib.sha256()
+    pickler = _ByValue(SimpleNamespace(write=digest.update))
     try:
-        pickler = _ByValue(SimpleNamespace(write=digest.update))
         pickler.dump(thing)
-        return f"{digest.hexdigest()}{sources_sha256(_sources_of(pickler.files))}"
+        sources = sources_sha256(_sources_of(pickler.files))
     except Exception:  # __reduce__ of the user's classes may raise anything
         return None
+    known = sorted({each for module in pickler.installed if (each := distribution_of(module)) is not None})
+    parts = digest.hexdigest(), sources, *(f"{each} {package_version(each)}" for each in known)
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def _sources_of(files: Iterable[Path]) -> Iterator[tuple[str, Path]]:
@@ -78,6 +85,7 @@ class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
     def __init__(self, file: SimpleNamespace) -> None:
         super().__init__(file)
         self.files: set[Path] = set()  # files of the user's own code, as they occur
+        self.installed: set[str] = set()  # top-level modules of other code
 
     def reducer_override(self, obj: Any) -> Any:
         if isinstance(obj, Tensor):
@@ -86,6 +94,8 @@ class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
             return _as("code", _content_of_code(obj))
         name = obj.__name__ if isinstance(obj, ModuleType) else getattr(obj, "__module__", None)
         own = isinstance(name, str) and is_own(name)
+        if isinstance(name, str) and not own:
+            self.installed.add(name.partition(".")[0])
         if own and isinstance(obj, ModuleType):
             self.files.add(Path(obj.__file__ or ""))
             return _as(obj.__name__, {key: each for key, each in vars(obj).items() if key[:2] != "__"})

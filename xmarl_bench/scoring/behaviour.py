@@ -32,7 +32,7 @@ from xmarl_bench.entry.protocol import ABSENCE_EPISODES
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.absence import stand_ins, step_under
 from xmarl_bench.explain.explainer import Explainer, run_explainer
-from xmarl_bench.metrics import mask_of_senders, other_senders, top_k_rows
+from xmarl_bench.explain.sampled_oracle import ranks
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.metrics.table import OTHER_ABSENCES
 from xmarl_bench.policy import ActionDistribution, GraphPolicy, Policy, existing_edges
@@ -197,6 +197,7 @@ def top_messages(
 
     edges: (S, N, N), the edges of the graph; a receiver with fewer than k others keeps all of them.
     """
-    others = None if edges is None else other_senders(edges)
-    rows = top_k_rows(other_senders(mask), other_senders(noise), others)[k - 1]
-    return torch.from_numpy(mask_of_senders(rows, ~np.eye(mask.shape[-1], dtype=bool)))
+    there = np.ones(mask.shape, dtype=np.bool_) if edges is None else edges
+    senders = there & ~np.eye(mask.shape[-1], dtype=np.bool_)
+    top = (ranks(mask.astype(np.float64), noise[None], senders)[0] < k) & senders
+    return torch.from_numpy(top.astype(np.float32))

@@ -31,6 +31,7 @@ class Environment:
     policy: Policy = field(compare=False)
     card: PolicyCard = field(compare=False)
     policy_key: str
+    initial_seed: int | None  # of the policy's weights: one of the controls depends on it
     task_key: str | None  # None: a task of xmarl_envs
     cell: Cell
     seed: int
@@ -40,7 +41,8 @@ class Environment:
     def of(cls, request: Request, cell: Cell, keys: Keys) -> Environment:
         policy, card, sampling = request.policy, request.card, request.sampling
         key = keys.policy(policy, card)
-        return cls(policy, card, key, keys.task(cell), cell, sampling.seed, sampling.max_cycles)
+        task, seed = keys.task(cell), sampling.seed
+        return cls(policy, card, key, card.initial_seed, task, cell, seed, sampling.max_cycles)
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ class Sweep:
         if piece.source is None:
             return piece.key
         alone = piece.explainer if piece.explainer and self.explainers[piece.explainer].slow else None
-        return piece.source.key, piece.timesteps, alone
+        return piece.block.environment, piece.source.key, piece.timesteps, alone
 
     def _play(self, pieces: Sequence[Piece]) -> Iterator[Piece]:
         units = (self._rollout(piece) for piece in pieces)

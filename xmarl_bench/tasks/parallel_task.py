@@ -10,8 +10,9 @@ Collisions are what infos say at any step. What infos do not say is not measured
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
@@ -103,6 +104,7 @@ class ParallelEpisodes:
         self.task = task
         self.max_cycles = max_cycles
         self.envs: list[Parallel | None] = [None] * n_episodes
+        weakref.finalize(self, _close_all, self.envs)
         self._cycles = [0] * n_episodes
         self._observation = np.zeros((n_episodes, task.n_agents, task.obs_dim), dtype=np.float32)
 
@@ -172,6 +174,14 @@ class ParallelEpisodes:
         env, self.envs[k] = self.envs[k], None
         if env is not None:
             with foreign_code(self.task.name, "close"):
+                env.close()
+
+
+def _close_all(envs: Sequence[Parallel | None]) -> None:
+    """Close the environments of episodes that nobody plays any more."""
+    for env in envs:
+        with suppress(Exception):
+            if env is not None:
                 env.close()
 
 

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from xmarl_bench.errors import InputError
+from xmarl_bench.reproducible import FRESH_SEEDS
 from xmarl_bench.tasks.interface import random_actions
 from xmarl_bench.tasks.parallel_task import Parallel, ParallelTask, foreign_code
 
 TRIAL_STEPS: Final = 5
-SEED, OTHER_SEED = 2**52, 2**52 + 1  # no score plays these, but as large ones
+SEED, OTHER_SEED = FRESH_SEEDS.start - 2, FRESH_SEEDS.start - 1  # no score plays these, but as large ones
 MAX_ACTIONS = 64  # as many as a policy's record holds
 
 

@@ -48,7 +48,8 @@ def _shaped(task: Task, shaping: Shaping, before: Floats, state: State, step: St
         penalty = task.collision_penalty if shaping.agent_penalty is None else shaping.agent_penalty
         arrived = task.all_at_goal_reward * step.terminated[:, None]
         return gained + arrived - penalty * _contacts(task, state)
-    if isinstance(task, BlindPassage) and (shaping.through_gap or shaping.agent_penalty is not None):
+    penalties = shaping.agent_penalty, shaping.wall_penalty
+    if isinstance(task, BlindPassage) and (shaping.through_gap or penalties != (None, None)):
         if shaping.through_gap:
             gained = distance_through_gap(task, before, state) - distance_through_gap(
                 task, state.position, state

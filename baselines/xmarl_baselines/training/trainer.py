@@ -110,7 +110,7 @@ def train(
     if frames < run.recipe.frames:
         model.learn(
             run.recipe.frames - frames,
-            callback=[_Caution(run.recipe.caution_growth), selection, checkpoints],
+            callback=[_Caution(run.recipe.caution_growth, run.recipe.frames), selection, checkpoints],
             reset_num_timesteps=frames == 0,
             tb_log_name=run.name,
         )
@@ -209,12 +209,13 @@ def _restore(model: MAPPO, checkpoint: Path) -> None:
 class _Caution(IterationCallback):
     """Multiplies the penalties for touching and for being near, linearly from 1 to `growth` over the run."""
 
-    def __init__(self, growth: float) -> None:
+    def __init__(self, growth: float, frames: int) -> None:
         super().__init__()
-        self._growth = growth
+        self._growth, self._frames = growth, frames
 
     def _on_rollout_start(self) -> None:
-        done = min(1.0, 1.0 - self.model._current_progress_remaining)
+        remaining = 1.0 - self.model.num_timesteps / self._frames  # SB3's own is wrong just after a resume
+        done = min(1.0, 1.0 - remaining)
         self.training_env.set_attr("caution", 1.0 + (self._growth - 1.0) * done)
 
 

@@ -14,7 +14,8 @@ from xmarl_baselines.explainers.shapley import shapley_messages
 
 from tests.helpers.policies import random_masks, random_observations, small_policy
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.effect import signed_to_unit
+from xmarl_bench.explain.adapters import as_explainer
+from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
 from xmarl_bench.explain.explainer import Explainer, fit_explainer, run_explainer
 from xmarl_bench.explain.messages_only import OwnKept, messages_only
 from xmarl_bench.plugins.registry import find_explainer
@@ -120,6 +121,18 @@ def test_fitting_uses_agents_that_hear_themselves() -> None:
     mask = run_explainer(fitted, small_policy(6), observations, 0)
     assert seen == [OwnKept, OwnKept]
     assert torch.equal(mask, torch.eye(3).expand(2, 3, 3))
+
+
+@pytest.mark.parametrize("size", [1e-9, 10.0])
+def test_own_edges_take_no_part_in_the_scale_of_signed_attributions(size: float) -> None:
+    def signed(observations: Tensor, policy: object) -> Tensor:
+        return size * torch.tensor([[9.0, -1.0, 0.5]]).expand(len(observations), 3, 3)
+
+    made = messages_only(as_explainer(signed, signed=True))
+    assert made.hyperparameters["normaliser"] == NORMALISER
+    mask = run_explainer(made, small_policy(6), random_observations(2, 3, 6), 0)
+    expected = torch.tensor([[1.0, 0.0, 0.75], [1.0, 1.0, 0.5 + 0.5 / 18], [1.0, 0.5 - 0.5 / 9, 1.0]])
+    torch.testing.assert_close(mask[0], expected)
 
 
 def test_functions_work_and_explainers_that_get_the_network_are_refused() -> None:

@@ -47,6 +47,19 @@ def test_proximity_is_one_at_contact_and_zero_out_of_range() -> None:
     np.testing.assert_allclose(near - far, [[-1.0, -1.0, 0.0]])
 
 
+def test_a_penalty_of_the_wall_alone_replaces_the_tasks() -> None:
+    task = make_task("blind_passage_v0")
+    env = VectorEnv(task, 1)
+    env.reset([0])
+    before, step = env.state.position.copy(), env.step(np.zeros((1, 3, 2)))
+    step = step._replace(object_collision=np.array([[1.0, 0.0, 0.0]]))
+    none, three = (
+        training_reward(task, Shaping(wall_penalty=penalty), before, env.state, step)
+        for penalty in (0.0, 3.0)
+    )
+    np.testing.assert_allclose(none - three, [[3.0, 0.0, 0.0]])
+
+
 def test_the_distance_through_the_gap() -> None:
     task = BlindPassage(n_agents=1)
     walls = np.array([[[-1.2515, 0.0], [1.2515, 0.0]]])  # the gap is at x = 0

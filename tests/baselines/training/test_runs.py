@@ -12,7 +12,7 @@ from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.mappo import MAPPO
 from xmarl_baselines.training.shaping import Shaping
 from xmarl_baselines.training.team_vec_env import TeamVecEnv
-from xmarl_baselines.training.trainer import Run, train
+from xmarl_baselines.training.trainer import Run, _Caution, build, train
 from xmarl_envs import TASKS
 
 from tests.baselines.training.small_runs import small
@@ -72,6 +72,16 @@ def test_caution_grows_over_the_run(tmp_path: Path) -> None:
         patch.setattr("xmarl_baselines.training.trainer.TeamVecEnv", Watch)
         train(Run(small(caution_growth=3.0)), tmp_path / "run")
     assert seen == pytest.approx([1.0, 1.0, 1.5, 2.0, 2.5])
+
+
+def test_caution_goes_on_after_a_resume() -> None:
+    caution = _Caution(3.0, 640)
+    model = build(Run(small(caution_growth=3.0)), seed=0)
+    model.num_timesteps = 320
+    caution.init_callback(model)
+    caution.on_rollout_start()
+    assert isinstance(model.env, TeamVecEnv)
+    assert model.env.caution == pytest.approx(2.0)
 
 
 def test_a_run_can_start_from_a_finished_one(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch_geometric.explain import GraphMaskExplainer
 
 from tests.conftest import MakeBundle, RunCli
+from tests.helpers.deep_policies import with_a_lonely_timestep
 from tests.helpers.example_plugins import BAD
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench import as_explainer
@@ -42,6 +43,19 @@ def failed(thing: object, *only: str, **declared: Any) -> dict[str, str]:
     return {
         name: each.message for name, each in found(thing, *only, **declared).items() if each.passed is False
     }
+
+
+def distant(observations: Tensor, policy: Policy) -> Tensor:
+    return torch.sigmoid(torch.cdist(observations[..., :2], observations[..., :2]))
+
+
+@pytest.mark.slow
+def test_what_a_mask_holds_where_the_graph_has_no_edge_does_not_count() -> None:
+    policy, observations, _ = with_a_lonely_timestep()
+    subject = ExplainerSubject(as_explainer(distant), policy, observations)
+    names = "same seed, same mask", "another seed", "order of timesteps", "chunks of timesteps"
+    found = run_checks({name: CHECKS[name] for name in names}, subject)
+    assert [each.message for each in found if each.passed is False] == []
 
 
 def attended(observations: Tensor, policy: Policy) -> Tensor:

@@ -65,6 +65,14 @@ def test_the_policy_beside_the_file_does_what_the_file_says(tmp_path: Path, run_
 
 
 @pytest.mark.slow
+def test_a_policy_in_two_team_sizes_has_two_files(tmp_path: Path, run_cli: RunCli) -> None:
+    exported(save_bundle(tmp_path), tmp_path / "d", run_cli, "--team", 3, "--team", 4)
+    sizes = {path.stem: read_dataset(path).card.n_agents for path in (tmp_path / "d").glob("*.safetensors")}
+    assert sizes == {"small": 3, "small-n4": 4}
+    assert [path.name for path in (tmp_path / "d" / "policies").iterdir()] == ["small"]
+
+
+@pytest.mark.slow
 def test_the_card_lists_every_array_with_its_shape(tmp_path: Path, run_cli: RunCli) -> None:
     exported(save_bundle(tmp_path), tmp_path / "d", run_cli)
     page = (tmp_path / "d" / "small.md").read_text(encoding="utf-8")

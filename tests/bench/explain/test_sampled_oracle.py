@@ -342,3 +342,11 @@ def test_small_teams_have_little_to_rank(n_agents: int) -> None:
     found = sampled(two_layers(), random_observations(3, n_agents, 6)).score(random_masks(3, n_agents))
     assert np.isnan(found.messages[Absence.ZERO].budgeted)
     assert len(found.all_edges.explained) == n_agents - 1
+
+
+def test_a_number_does_not_hide_a_value_that_is_none() -> None:
+    edges = Edges.of(np.ones((1, 3, 3), dtype=bool), own_kept=True)
+    best = Best.none(edges, row_wise=True)
+    for value in (1.0, np.nan, 2.0):
+        best.take(best.kept, np.full(best.value.shape, value))
+    assert np.isnan(best.value).all()

@@ -59,6 +59,8 @@ def test_what_follows_within_and_over_policies() -> None:
     reversed_ = [Curve(each.policy, each.form, None, "gef", each.values) for each in curves]
     other = followed(reversed_, "gef", Form.SAME_VALUES)
     assert (other.within, other.smallest, other.over) == pytest.approx((-1.0, -1.0, -found.over))
+    nothing = followed([], "fid_delta", Form.SAME_VALUES)
+    assert np.isnan([nothing.within, nothing.smallest, nothing.over]).all()
 
 
 @pytest.mark.slow

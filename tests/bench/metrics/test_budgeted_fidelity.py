@@ -23,7 +23,6 @@ from xmarl_bench.metrics import (
     other_senders,
     others_table,
     random_at_k,
-    top_k_rows,
 )
 from xmarl_bench.policy import GraphPolicy
 
@@ -54,7 +53,6 @@ def test_the_parts_by_hand() -> None:
     np.testing.assert_allclose(random_at_k(delta), [-0.3, 0.3])
     np.testing.assert_allclose(oracle_at_k(delta), [0.3, 0.6])
     mask = np.array([[[0.2, 0.9, 0.5]]])
-    assert top_k_rows(mask, np.zeros((1, 1, 3))).tolist() == [[[2]], [[2 + 4]]]  # sender 1, then 1 and 2
     assert choices(mask)[:, 0, 0].tolist() == [0, 0, 1, 0, 0, 0, 1, 0]
     np.testing.assert_allclose(fid_delta_at_k(delta, choices(mask)), [-0.6, -0.3])
     # ((-0.6 + 0.3) / 0.6 + (-0.3 - 0.3) / 0.3) / 2 = (-0.5 - 2) / 2
@@ -83,7 +81,6 @@ def test_without_a_valid_budget_the_value_is_nan() -> None:
 
 
 def test_one_sender_has_no_budget() -> None:
-    assert top_k_rows(np.ones((2, 1, 1)), np.zeros((2, 1, 1))).shape == (0, 2, 1)
     assert np.isnan(score_of(changes(1, 0, 2, 1), np.ones((2, 1, 1))))
 
 

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch_geometric.nn import SimpleConv
 
 from xmarl_bench import PolicyModule, as_explainer
+from xmarl_bench.origin import code_hash
 from xmarl_bench.origin.code_hash import object_sha256
 from xmarl_bench.origin.references import load_reference, origin_of
 from xmarl_bench.plugins.code_policies import open_module
@@ -93,6 +94,17 @@ def test_a_global_changes_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
     assert before is not None
     monkeypatch.setitem(globals(), "SCALE", 0.75)
     assert object_sha256(by_global) != before
+
+
+def by_library(observations: Tensor) -> object:
+    return np.asarray(observations)
+
+
+def test_the_version_of_a_library_that_code_calls_changes_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = object_sha256(by_library), object_sha256(by_global)
+    monkeypatch.setattr(code_hash, "package_version", {"numpy": "99"}.get)
+    assert object_sha256(by_library) not in (None, before[0])
+    assert object_sha256(by_library) == object_sha256(by_library)
 
 
 @pytest.mark.parametrize("order", ["C", "F"])

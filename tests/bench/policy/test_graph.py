@@ -28,7 +28,6 @@ from xmarl_bench.metrics import (
     random_at_k,
     rank_correlation,
     rows_within,
-    top_k_rows,
 )
 from xmarl_bench.policy import (
     CompleteGraph,
@@ -150,9 +149,6 @@ def test_absent_senders_are_ranked_last_for_every_mask() -> None:
     there = np.array([[[True, False, True], [True, True, True], [False, True, True]]])
     mask = np.array([[[0.1, 1.0, 0.2], [0.3, 0.2, 0.1], [1.0, 0.0, 0.0]]])
     noise = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.9, 0.1]]])
-    first, second = top_k_rows(mask, noise, there)
-    assert first.tolist() == [[0b100, 0b001, 0b100]]
-    assert second.tolist() == [[0b101, 0b011, 0b110]]
     top = top_messages(mask, noise, 1, there)[0]
     assert top.tolist() == [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
     assert other_senders(there)[0].tolist() == [[False, True], [True, True], [False, True]]

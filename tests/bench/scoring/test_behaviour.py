@@ -63,6 +63,15 @@ def play(
     return played
 
 
+def test_top_messages_of_a_large_team() -> None:
+    """Of more senders than an integer has bits."""
+    order = np.random.default_rng(0).permuted(np.tile(np.arange(80.0), (1, 80, 1)), axis=-1)
+    top = top_messages(order, np.zeros_like(order), 40).numpy()[0]
+    np.fill_diagonal(order[0], -1.0)
+    fortieth = np.sort(order[0], axis=-1)[:, [-40]]
+    np.testing.assert_array_equal(top, order[0] >= fortieth)
+
+
 def test_top_messages_by_hand() -> None:
     mask = np.array([[[0.9, 0.1, 0.2], [0.5, 0.0, 0.4], [0.3, 0.3, 1.0]]])
     tie = np.zeros((1, 3, 3))

@@ -19,6 +19,7 @@ from xmarl_bench.entry.aggregation import summarise
 from xmarl_bench.entry.metric_records import Summary
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
+from xmarl_bench.explain.control_names import INITIAL_ATTENTION
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.metrics.statistics import percentile_interval
 from xmarl_bench.plugins.registry import find_explainer
@@ -93,6 +94,16 @@ def outcomes(folder: Path, requests: Sequence[Request], **options: bool) -> list
 
 def ids(found: Sequence[Entry | Failed]) -> list[str]:
     return [each.entry_id for each in found if isinstance(each, Entry)]
+
+
+def test_cards_of_the_same_weights_have_their_own_controls(make_bundle: MakeBundle, tmp_path: Path) -> None:
+    """The attention of the weights before training, of the card that says how they were drawn."""
+    first = request(make_bundle(name="one"))
+    cards = [first.card.model_copy(update={"name": n, "initial_seed": s}) for n, s in (("a", 3), ("b", None))]
+    for _ in range(2):  # computed, and from the cache
+        found = outcomes(tmp_path / "cache", [replace(first, card=card) for card in cards])
+        controls = [each.results[0].controls for each in found if isinstance(each, Entry)]
+        assert [INITIAL_ATTENTION in each for each in controls] == [True, False]
 
 
 def test_cached_pieces_are_not_computed_again(make_bundle: MakeBundle, tmp_path: Path, spy: Spy) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from tests.bench.tasks import worlds
 from tests.helpers.policies import small_policy
 from xmarl_bench.errors import InputError
 from xmarl_bench.rollout.episodes import Episode, mean_metrics, play, roll_out
+from xmarl_bench.tasks import sources
 from xmarl_bench.tasks.interface import TeamTask, random_actions
 from xmarl_bench.tasks.parallel_task import ParallelEpisodes
 from xmarl_bench.tasks.parallel_trial import parallel_task
@@ -110,6 +112,40 @@ def test_environments_of_others_are_taken(make: Callable[[int], Any]) -> None:
     assert task.action_width == 5
     assert task.continuous_actions == (make is worlds.spread_continuous)
     assert task.default_max_cycles == (30 if make is worlds.pursuit else 25)
+
+
+@dataclass
+class Unhashable:
+    name: str = "unhashable"
+
+    def __call__(self, n_agents: int) -> worlds.Line:
+        return worlds.Line(n_agents)
+
+
+def test_a_factory_that_cannot_be_hashed_is_refused() -> None:
+    with pytest.raises(InputError, match="is not hashable: give a function, or a frozen dataclass"):
+        sources.open_task(Unhashable())
+
+
+def test_environments_are_closed_when_nobody_plays_them_any_more() -> None:
+    open_ = set[int]()
+
+    class Closing(worlds.Line):
+        def reset(self, seed: int | None = None, options: Any = None) -> Any:
+            open_.add(id(self))
+            return super().reset(seed, options)
+
+        def close(self) -> None:
+            open_.discard(id(self))
+
+    task = parallel_task("closing", Closing, 3)
+    assert open_ == set()
+    env = task.vector_env(2)
+    env.reset([0, 1])
+    env.reset([2], [0])
+    assert len(open_) == 2
+    del env
+    assert open_ == set()
 
 
 def test_the_other_kind_of_actions_is_refused() -> None:

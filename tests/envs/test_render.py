@@ -1,78 +1,25 @@
-"""Pictures have the right shape, show every agent, and do not change the episode."""
+"""Pictures have the right shape and show every agent, what happens to it, and its explanation."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
-import pygame
 import pytest
-from numpy.typing import NDArray
-from xmarl_envs import TASKS, State, Task, TaskParallelEnv, make_task
+from xmarl_envs import State, TaskParallelEnv, make_task
 from xmarl_envs.canvas import HEADER, LINE, SIZE
-from xmarl_envs.colours import FAINT, INK, NEAR, PAPER, WALL, Colour, agent_colours
+from xmarl_envs.colours import INK, NEAR, PAPER, WALL, agent_colours
 from xmarl_envs.render import Renderer
 from xmarl_envs.scene import Scene, Track
 from xmarl_envs.team_painter import STAR
 from xmarl_envs.vector_env import VectorEnv
 
-Picture = NDArray[np.uint8]
-Floats = NDArray[np.float64]
-
-tasks = pytest.mark.parametrize("name", TASKS)
+from tests.envs.pictures import at, count, darkness, drawn, rendered, scene_of, tasks
 
 
 @pytest.fixture(autouse=True)
 def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-
-def rendered(env: TaskParallelEnv, mask: Floats | None = None) -> Picture:
-    frame = env.render(mask)
-    assert frame is not None
-    return frame
-
-
-def drawn(
-    task: Task, scene: Scene, mask: Floats | None = None, title: str = "", reach: float = 0.0
-) -> Picture:
-    frame = Renderer(task, reach=reach).draw(scene, mask, title)
-    assert frame is not None
-    return frame
-
-
-def scene_of(*agents: tuple[float, float], track: Floats | None = None, collided: int | None = None) -> Scene:
-    """A team at the given positions, with its goals far above."""
-    positions = np.array(agents)
-    return Scene(
-        track=positions[None] if track is None else track,
-        targets=positions + np.array([0.0, 50.0]),
-        walls=np.zeros((0, 2)),
-        cycle=0,
-        reward=0.0,
-        total=0.0,
-        collided=np.arange(len(agents)) == collided,
-    )
-
-
-def count(frame: Picture, colour: Colour) -> int:
-    return int((frame == np.array(colour)).all(axis=-1).sum())
-
-
-def darkness(frame: Picture, x: float, y: float, reach: int = 12) -> float:
-    """Mean darkness relative to paper around a pixel of the world."""
-    column, row = round(x), round(y) + HEADER
-    patch = frame[row - reach : row + reach, column - reach : column + reach]
-    return float(np.mean(np.array(PAPER) - patch.astype(np.float64)))
-
-
-def at(frame: Picture, colour: Colour) -> tuple[float, float]:
-    """Mean column and row, below the header, of the pixels of a colour."""
-    rows, columns = np.nonzero((frame[HEADER:] == np.array(colour)).all(axis=-1))
-    return float(columns.mean()), float(rows.mean())
 
 
 @pytest.mark.slow
@@ -89,54 +36,6 @@ def test_every_agent_is_in_the_picture(name: str, n_agents: int) -> None:
     assert (count(frame, NEAR) > 1000) == (name == "blind_discovery_v0")
     assert not count(frame, agent_colours(n_agents + 1)[-1])
     env.close()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("n_agents", [1, 9, 64])
-def test_agents_of_any_team_have_different_colours(n_agents: int) -> None:
-    colours = agent_colours(n_agents)
-    assert len(set(colours)) == n_agents
-    assert not set(colours) & {PAPER, INK, WALL, FAINT, NEAR}
-    task = make_task("blind_discovery_v0", n_agents)
-    env = VectorEnv(task)
-    env.reset([0])
-    everyone = np.full((n_agents, n_agents), 0.5)
-    frame = drawn(task, Track(env.state).scene(), everyone if n_agents < 10 else None)
-    assert all(count(frame, colour) > 5 for colour in colours)
-
-
-# What people with each kind of colour blindness see of linear RGB: Machado, Oliveira and Fernandes, "A
-# Physiologically-based Model for Simulation of Color Vision Deficiency" (2009), severity 1.
-BLINDNESS = {
-    "protanopia": (
-        (0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998),
-    ),
-    "deuteranopia": (
-        (0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413), (-0.01182, 0.04294, 0.968881),
-    ),
-    "tritanopia": (
-        (1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602), (0.004733, 0.691367, 0.3039),
-    ),
-}  # fmt: skip
-XYZ = ((0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.072175), (0.0193339, 0.119192, 0.9503041))
-
-
-def lab(colours: list[Colour], blindness: tuple[tuple[float, ...], ...]) -> Floats:
-    """CIE L*a*b* of sRGB colours as perceived with a colour blindness."""
-    srgb = np.array(colours) / 255
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    xyz = np.clip(linear @ np.array(blindness).T, 0, 1) @ np.array(XYZ).T / [0.95047, 1.0, 1.08883]
-    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
-    return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1)
-
-
-@pytest.mark.parametrize(("n_agents", "least"), [(8, 15.0), (16, 6.0)])
-@pytest.mark.parametrize("blindness", BLINDNESS)
-def test_colour_blind_readers_can_tell_the_colours_apart(blindness: str, n_agents: int, least: float) -> None:
-    """By CIE 1976 differences, of which 2.3 is just noticeable."""
-    seen = lab(agent_colours(n_agents), BLINDNESS[blindness])
-    apart = np.linalg.norm(seen[:, None] - seen[None], axis=-1)[np.triu_indices(n_agents, 1)]
-    assert apart.min() > least
 
 
 def test_up_is_up_and_right_is_right() -> None:
@@ -300,87 +199,6 @@ def test_agents_on_one_spot_are_drawn_with_their_explanation() -> None:
     task = make_task("blind_navigation_v0", 2)
     frame = drawn(task, scene_of((0.0, 0.0), (0.0, 0.0)), np.ones((2, 2)))
     assert count(frame, agent_colours(2)[1]) > 30
-
-
-@pytest.mark.parametrize(
-    ("mask", "said"),
-    [
-        (np.ones((3, 2)), r"shape \(2, 2\), got \(3, 2\)"),
-        (np.full((2, 2), 1.5), r"must lie in \[0, 1\]"),
-        (np.full((2, 2), np.nan), r"must lie in \[0, 1\]"),
-    ],
-)
-def test_an_invalid_mask_is_refused(mask: Floats, said: str) -> None:
-    env = TaskParallelEnv(make_task("blind_navigation_v0", 2), render_mode="rgb_array")
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=said):
-        env.render(mask)
-
-
-def played(name: str, mode: str | None, n_agents: int = 3) -> list[NDArray[np.float32]]:
-    env = TaskParallelEnv(make_task(name, n_agents), render_mode=mode)
-    env.reset(seed=0)
-    states = []
-    for _ in range(5):
-        env.step({agent: np.full(2, 0.5, dtype=np.float32) for agent in env.agents})
-        states.append(env.state())
-        if mode is not None:
-            assert (env.render(np.full((n_agents, n_agents), 0.5)) is None) == (mode == "human")
-    env.close()
-    return states
-
-
-@pytest.mark.slow
-@tasks
-@pytest.mark.parametrize("render_mode", ["rgb_array", "human"])
-def test_rendering_does_not_change_the_episode(name: str, render_mode: str) -> None:
-    np.testing.assert_array_equal(played(name, None), played(name, render_mode))
-
-
-def test_pictures_depend_only_on_the_episode() -> None:
-    """The same episode gives the same pictures, whatever was drawn before."""
-    env = TaskParallelEnv(make_task("blind_navigation_v0", 3), render_mode="rgb_array")
-    env.reset(seed=0)
-    first = rendered(env)
-    np.testing.assert_array_equal(first, rendered(env))
-    for _ in range(60):
-        env.step({agent: np.ones(2, dtype=np.float32) for agent in env.agents})
-    assert (rendered(env, np.ones((3, 3))) != first).any()
-    env.reset(seed=0)
-    np.testing.assert_array_equal(first, rendered(env))
-
-
-def test_a_closed_window_stays_closed_and_the_episode_continues() -> None:
-    env = TaskParallelEnv(make_task("blind_navigation_v0", 1), render_mode="human")
-    env.reset(seed=0)
-    assert pygame.display.get_init()
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    for _ in range(2):
-        env.step({"agent_0": np.ones(2, dtype=np.float32)})
-        assert not pygame.display.get_init()
-    env.close()
-
-
-@pytest.mark.slow
-def test_pictures_need_no_screen() -> None:
-    """No video driver is available here, and rgb_array needs none."""
-    code = (
-        "from xmarl_envs import TaskParallelEnv, make_task\n"
-        "env = TaskParallelEnv(make_task('blind_navigation_v0'), render_mode='rgb_array')\n"
-        "env.reset(seed=0)\n"
-        "assert env.render().std() > 1\n"
-    )
-    environment = {**os.environ, "SDL_VIDEODRIVER": "none-such"}
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=100, env=environment)
-
-
-def test_rendering_with_an_unknown_mode_or_without_a_mode_is_refused() -> None:
-    with pytest.raises(ValueError, match="render_mode must be one of"):
-        TaskParallelEnv(make_task("blind_navigation_v0"), render_mode="ansi")
-    with pytest.raises(ValueError, match="nothing to render: make"):
-        TaskParallelEnv(make_task("blind_navigation_v0")).render()
-    with pytest.raises(ValueError, match="call reset first"):
-        TaskParallelEnv(make_task("blind_navigation_v0"), render_mode="rgb_array").render()
 
 
 def test_a_target_is_drawn_as_a_landmark_if_the_task_has_ranges_and_as_a_goal_otherwise() -> None:

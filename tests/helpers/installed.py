@@ -21,4 +21,4 @@ def install(monkeypatch: pytest.MonkeyPatch, **bundles: Path) -> None:
     point = EntryPoint("installed", "tests.helpers.installed:installed", names.POLICIES)
     for name, bundle in bundles.items():
         monkeypatch.setitem(INSTALLED, name, bundle)
-    monkeypatch.setattr(names, "entry_points", lambda group: [point] if group == names.POLICIES else [])
+    monkeypatch.setattr(names, "entry_points", lambda group, **_: [point] if group == names.POLICIES else [])

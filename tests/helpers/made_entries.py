@@ -55,6 +55,7 @@ def made_entry(
     training_seed: int | None = 0,
     residual: bool = False,
     controls: Mapping[str, float] | None = None,
+    hyperparameters: dict[str, bool | int | float | str | None] | None = None,
     **constant: float | None,
 ) -> Entry:
     """Metrics of an episode are within 0.1 of `level`, in [0, 1]; those in `constant` have a fixed value.
@@ -91,7 +92,7 @@ def made_entry(
         ),
         explainer=ExplainerRecord(
             name=explainer, distribution="made", version="1", entry_point=f"made:{explainer}",
-            hyperparameters={"level": level}, stochastic=False, control=control, seed=0,
+            hyperparameters=hyperparameters or {}, stochastic=False, control=control, seed=0,
         ),
         protocol=Protocol(episodes=episodes, seeds=tuple(seeds), timesteps=None, definitions=DEFINITIONS),
         results=(result,),

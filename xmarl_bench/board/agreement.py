@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from xmarl_bench.board.entry_rows import is_whole
 from xmarl_bench.metrics import rank_correlation
 from xmarl_bench.metrics.table import Direction, by_name
 
@@ -40,7 +41,7 @@ def scores_of_board(tables: Iterable[Mapping[str, Any]]) -> list[Scores]:
         }
         for table in tables
         for policy in table["policies"]
-        if policy["gate"] is None
+        if policy["gate"] is None and is_whole(policy)
     ]
 
 

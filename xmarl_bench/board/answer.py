@@ -31,7 +31,10 @@ def answer_of(ranking: Json | None) -> list[str]:
     """Sentences: the leader, then those that are not shown to be better than each control."""
     ranked = [] if ranking is None else [row for row in ranking["rows"] if row["rank"] is not None]
     if ranking is None or not ranked:
-        return ["Nothing is ranked here: no policy passes the gate, or explainers share too few policies."]
+        return [
+            "Nothing is ranked here: no policy passes the gate, all scores are partial, or explainers share "
+            "too few policies."
+        ]
     ranked.sort(key=lambda row: row["rank"])
     best = [row for row in ranked if row["rank"] == 1]
     names = _listed([row["explainer"] for row in best])

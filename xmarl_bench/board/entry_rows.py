@@ -46,6 +46,11 @@ class Group:
         return [row for row in whole if value_of(row) is not None]
 
 
+def is_whole(policy: Json) -> bool:
+    """Whether a table's scores of a policy are whole: a table's are all, or all partial."""
+    return any(row["partial"] is None and not row["control"] for row in policy["rows"])
+
+
 def value_of(row: Json) -> float | None:
     """The value that rows are ordered by; None if the row has none."""
     summary = row["metrics"].get(ORDER["by"])
@@ -74,9 +79,11 @@ def policy_record(entry: Entry, cell: CellResult) -> Json:
 
 
 def identity_of(explainer: ExplainerRecord) -> bytes:
-    """Equal for entries of the same explainer: same code, whatever its version, and same hyperparameters."""
-    code = explainer.distribution, explainer.entry_point, explainer.code_sha256
-    return canonical_json([*code, explainer.hyperparameters])
+    """Equal for one explainer: of an installed package in any version, or of the same file; and for the same
+    hyperparameters."""
+    installed = explainer.distribution is not None
+    code = None if installed else [explainer.entry_point, explainer.code_sha256]
+    return canonical_json([explainer.distribution, code, explainer.hyperparameters])
 
 
 def entry_row(file: str, entry: Entry, k: int) -> Json:

@@ -26,7 +26,7 @@ def gate_reason(metrics: Metrics) -> str | None:
     if any(gain.interval is not None and gain.interval[0] > 0.0 for gain in gains.values()):
         return None
     shown = ", ".join(f"{by_name()[name].title} {_gain(gain)}" for name, gain in gains.items())
-    return f"messages are not shown to help: {shown or 'neither success nor reward is measured'}"
+    return f"messages are not shown to help: {shown or 'no gain is measured'}"
 
 
 def _number(value: float | None) -> str:

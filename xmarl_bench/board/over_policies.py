@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,9 +51,7 @@ def rankings(listed: Sequence[tuple[Json, Sequence[Group]]]) -> list[Json]:
 
 def _ranking(pairs: Sequence[Scored]) -> Json:
     """Explainers by their mean over the policies that they were all scored on."""
-    every = [{row["explainer"]: row for row in reversed(group.ranked)} for _, group in pairs]
-    unclear = _names_of_several(pairs)
-    by_name = [{name: row for name, row in each.items() if name not in unclear} for each in every]
+    by_name = _by_name(pairs)
     chosen, names = complete_part({k: sorted(rows) for k, rows in enumerate(by_name)})
     compared = [pairs[k] for k in chosen]
     design = _design(compared)
@@ -72,14 +71,12 @@ def _ranking(pairs: Sequence[Scored]) -> Json:
         | {"above": {c: _above(rows[name], [of.get(c) for of in control_rows], design) for c in BEATEN}}
         for name, place in zip(names, found, strict=True)
     ]
-    partial = sorted({name for each in every for name in each} - set(names))
-    reasons = {
-        name: f"scored on {sum(name in each for each in every)} of {len(every)} policies" for name in partial
-    }
-    reasons |= dict.fromkeys(
-        unclear, "entries are of other code or hyperparameters under the same name: remove or rename some"
-    )
-    unranked = [_row_where(name, every, pairs) | {"reason": reasons[name]} for name in partial]
+    missing = sorted({name for each in by_name for name in each} - set(names))
+    unranked = [
+        _row_where(name, by_name, pairs)
+        | {"reason": f"scored on {sum(name in each for each in by_name)} of {len(by_name)} policies"}
+        for name in missing
+    ]
     _, controls = complete_part({k: list(each) for k, each in enumerate(control_rows)})
     ranked_controls = [_row_where(name, control_rows, compared) for name in controls]
     return {
@@ -97,13 +94,27 @@ def _ranking(pairs: Sequence[Scored]) -> Json:
     }  # fmt: skip
 
 
-def _names_of_several(pairs: Sequence[Scored]) -> set[str]:
-    """Names of explainers whose entries are not all of the same code and hyperparameters."""
-    found: dict[str, set[bytes]] = {}
+def _by_name(pairs: Sequence[Scored]) -> list[dict[str, Json]]:
+    """For each policy, the row of each name. Where entries of one name are of other code or hyperparameters,
+    those of one explainer count: of the one scored on most policies, then of the newest."""
+    scored: dict[str, dict[bytes, list[Json]]] = {}
     for _, group in pairs:
         for row in group.ranked:
-            found.setdefault(row["explainer"], set()).add(group.explainers[row["file"]])
-    return {name for name, identities in found.items() if len(identities) > 1}
+            identity = group.explainers[row["file"]]
+            scored.setdefault(row["explainer"], {}).setdefault(identity, []).append(row)
+    counted = {name: max(each, key=partial(_weight, each)) for name, each in scored.items()}
+    return [
+        {
+            row["explainer"]: row
+            for row in reversed(group.ranked)
+            if group.explainers[row["file"]] == counted[row["explainer"]]
+        }
+        for _, group in pairs
+    ]
+
+
+def _weight(rows: Mapping[bytes, Sequence[Json]], identity: bytes) -> tuple[int, str, bytes]:
+    return len(rows[identity]), max(row["date"] for row in rows[identity]), identity
 
 
 def _design(pairs: Sequence[Scored]) -> Design:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from xmarl_bench.board.columns import ORDER
+from xmarl_bench.board.entry_rows import is_whole
 from xmarl_bench.board.ranking import DIGITS
 from xmarl_bench.metrics.student import Design, interval_of, mean_of
 from xmarl_bench.records.files import canonical_json
@@ -28,16 +29,16 @@ def families_of(tables: Sequence[Json], *, gated: bool = False) -> list[Json]:
     gated: with policies that do not pass the gate. A pair is {"without": policies, "with": policies}. Pairs
     are in the order of their training seeds.
     """
-    families: dict[tuple[str, int, int, bytes], Json] = {}
+    families: dict[tuple[str, int, bytes], Json] = {}
     for table in tables:
         for policy in table["policies"]:
             seed = policy["training_seed"]
             if seed is None or policy["trained_n_agents"] != table["n_agents"]:
                 continue
-            if policy["gate"] and not gated:
+            if not is_whole(policy) or (policy["gate"] and not gated):
                 continue
             architecture = policy["architecture"]
-            key = (table["task"], table["n_agents"], table["max_cycles"], canonical_json(architecture))
+            key = (table["task"], table["n_agents"], canonical_json(architecture))
             family = families.setdefault(
                 key,
                 {"task": table["task"], "n_agents": table["n_agents"], "kind": kind_of(architecture),

@@ -81,6 +81,7 @@ def study(
 
     from xmarl_bench.cli import tables
     from xmarl_bench.counted import counted
+    from xmarl_bench.entry.file import folder_of_entries
     from xmarl_bench.errors import InputError
     from xmarl_bench.papers.kailas2025.existing import existing_entries
     from xmarl_bench.papers.kailas2025.figures import check_matplotlib
@@ -133,7 +134,7 @@ def study(
         if not pairs:
             tables.exit_for_failures(failed, len(not_loaded) + len(requests))
         names = tuple(explainer.name for explainer in explainers)
-        existing = entries is not None and entries.resolve().name == "leaderboard"
+        existing = entries is not None and folder_of_entries(entries.resolve()).parent.name == "leaderboard"
         data = StudyData(chosen, names, pairs, Samples.of(pairs), existing=existing)
         results = write_study(folder, data, figures=figures)
     verdicts = [claim["verdict"] for claim in results["ledger"]]

@@ -11,9 +11,9 @@ from xmarl_bench.entry.schema import CellResult, Protocol
 def partial_reason(protocol: Protocol, cell: CellResult) -> str | None:
     """Why a cell's score is partial, a clause without a full stop; None if it is whole.
 
-    Whole: EPISODES episodes of the task's own length, which tasks of others do not have here, and every
-    timestep of each; in teams of LARGER_TEAM agents and more, where enumeration is expensive, at least
-    LARGER_TIMESTEPS timesteps of each.
+    Whole: EPISODES episodes of the task's own length and every timestep of each; in teams of LARGER_TEAM
+    agents and more, where enumeration is expensive, at least LARGER_TIMESTEPS timesteps of each. The length
+    of third-party tasks is not known here and not checked.
     """
     if protocol.episodes < EPISODES:
         return f"{protocol.episodes} of the protocol's {EPISODES} episodes"

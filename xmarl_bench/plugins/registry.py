@@ -95,6 +95,11 @@ def is_shipped_code(explainer: Explainer) -> bool:
     return is_shipped(explainer.name) and find_explainer(explainer.name) == anywhere
 
 
+def recorded_origin(explainer: Explainer) -> Origin:
+    """The origin in an entry: of a shipped explainer that is passed as an object, that of its name."""
+    return origin_of_explainer(find_explainer(explainer.name) if is_shipped_code(explainer) else explainer)
+
+
 def checked_name(explainer: Explainer) -> Explainer:
     """The explainer. Raises InputError if its name is unsafe in file names or that of a control."""
     name = explainer.name

@@ -53,7 +53,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        what = "free disk space" if error.errno in NO_SPACE else "give another folder"
+        what = "free disk space or give another folder" if error.errno in NO_SPACE else "give another folder"
         raise InputError(
             f"{path} cannot be written ({error.strerror}): {what}. Files written before are intact."
         ) from error

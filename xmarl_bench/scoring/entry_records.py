@@ -8,12 +8,11 @@ from dataclasses import asdict
 from xmarl_bench.entry.protocol import definitions
 from xmarl_bench.entry.provenance import provenance
 from xmarl_bench.entry.schema import Entry, ExplainerRecord, PolicyRecord, Protocol, TaskRecord, make_entry
-from xmarl_bench.explain.adapters import origin_of_explainer
 from xmarl_bench.explain.effect import NORMALISER
 from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.simulator import SIMULATOR
 from xmarl_bench.isolation.policies import is_code_here
-from xmarl_bench.plugins.registry import is_shipped_code
+from xmarl_bench.plugins.registry import is_shipped_code, recorded_origin
 from xmarl_bench.policy import CodeArchitecture
 from xmarl_bench.policy.device import CPU
 from xmarl_bench.rollout.cell import Cell
@@ -64,7 +63,7 @@ def entry_of(
 
 def explainer_record(explainer: Explainer, seed: int) -> ExplainerRecord:
     """The record of an explainer in an entry. seed: of the run."""
-    origin = origin_of_explainer(explainer)
+    origin = recorded_origin(explainer)
     return ExplainerRecord(
         **asdict(origin),
         name=explainer.name,

@@ -108,7 +108,7 @@ def choose_policies(
         for name, each in meant.items()
         if (any_task or each.card.task in wanted_tasks) and (sizes is None or each.card.n_agents in sizes)
     }
-    own_size = set(chosen)  # policies that run with the team size that they were trained for
+    own_size = set(chosen) - set(names)  # policies that run with the team size that they were trained for
     if words and not chosen:
         tasks_asked = "any task" if any_task else " or ".join(wanted_tasks)
         sizes_asked = "any number of" if sizes is None else " or ".join(map(str, sizes))

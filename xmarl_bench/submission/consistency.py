@@ -17,6 +17,7 @@ from xmarl_bench.entry.aggregation import BEHAVIOUR, BEHAVIOUR_UNDER, SANITY, sa
 from xmarl_bench.entry.metric_records import BudgetRow, EpisodeRow, Metrics
 from xmarl_bench.entry.protocol import ABSENCE_EPISODES, SAMPLED, SANITY_EPISODES, definitions
 from xmarl_bench.entry.schema import CellResult, Entry
+from xmarl_bench.explain.control_names import SUMMARIES
 from xmarl_bench.metrics.budgeted_fidelity import SMALLEST, Floats, budgeted_fidelity, over_absences
 from xmarl_bench.metrics.table import OPTIONAL, OTHER_ABSENCES, UNDER_ABSENCES
 from xmarl_bench.plugins.names import OURS, is_shipped
@@ -28,6 +29,7 @@ from xmarl_bench.submission.rounding import ALIKE, CLOSE, close
 from xmarl_bench.submission.tolerance import agrees
 
 TOLD = ("success_rate", "success_gain", "no_agent_collision")  # our tasks tell these
+CONTROLS_AT = "xmarl_bench.explain."  # where the code of controls is
 BEHAVIOURAL = ("behavioural_fidelity", "success_on_explanation", "success_on_complement")
 PREFIXES = ("", *(f"{absence}_" for absence in OTHER_ABSENCES))
 
@@ -43,8 +45,11 @@ def entry_findings(entry: Entry) -> Iterator[str]:
     if entry.cost.explained_timesteps != explained:
         yield f"cost.explained_timesteps is {entry.cost.explained_timesteps}, but the rows have {explained}."
     explainer = entry.explainer
-    if is_shipped(explainer.name) and explainer.distribution != OURS and not explainer.control:
+    control = explainer.name in SUMMARIES and explainer.entry_point.startswith(CONTROLS_AT)
+    if is_shipped(explainer.name) and explainer.distribution != OURS and not control:
         yield f"explainer.name is {explainer.name}, the name of one that {OURS} ships: rename yours."
+    elif explainer.control and not control:
+        yield f"explainer.control is true, but {explainer.name} is not a control of {OURS}."
     cells = [(cell.task, cell.n_agents) for cell in entry.results]
     if len(set(cells)) != len(cells):
         yield "results hold a cell twice."

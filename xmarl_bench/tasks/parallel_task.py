@@ -114,9 +114,9 @@ class ParallelEpisodes:
         for k, seed in zip(which, seeds, strict=True):
             self._close(k)
             with foreign_code(self.task.name, f"reset(seed={seed})"):
-                env = self.task.make_env(self.task.n_agents)
+                self.envs[k] = env = self.task.make_env(self.task.n_agents)
                 observations, _ = env.reset(seed=int(seed))
-            self.envs[k], self._cycles[k] = env, 0
+            self._cycles[k] = 0
             self._observation[k] = self.task.of_team(observations, env.possible_agents)
         return self._observation.copy()
 

@@ -164,10 +164,12 @@ def open_factory(factory: object, origin: Origin, name: str | None) -> TaskSourc
             f"task {chosen!r} ({origin.entry_point}) is a {type(factory).__name__}: give a subclass of "
             f"xmarl_envs.Task, or a function of a team size that returns a PettingZoo ParallelEnv."
         )
-    if factory.__hash__ is None:  # what was tried is kept by it
+    try:
+        hash(factory)  # what was tried is kept by it
+    except TypeError as error:
         raise InputError(
-            f"task {chosen!r} ({origin.entry_point}) is not hashable: give a function, or a frozen dataclass."
-        )
+            f"task {chosen!r} ({origin.entry_point}) cannot be hashed ({error}): give a function."
+        ) from None
     if name is not None and chosen != name:
         raise InputError(
             f"task plugin {name!r} ({origin.entry_point}) calls itself {chosen!r}: use one name for both."

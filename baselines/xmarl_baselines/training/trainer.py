@@ -214,7 +214,8 @@ class _Caution(IterationCallback):
         self._growth, self._frames = growth, frames
 
     def _on_rollout_start(self) -> None:
-        remaining = 1.0 - self.model.num_timesteps / self._frames  # SB3's own is wrong just after a resume
+        # SB3 keeps this number, but not over a resume. Subtracted twice, as from SB3's: the same bits.
+        remaining = 1.0 - self.model.num_timesteps / self._frames
         done = min(1.0, 1.0 - remaining)
         self.training_env.set_attr("caution", 1.0 + (self._growth - 1.0) * done)
 

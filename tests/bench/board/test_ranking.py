@@ -162,15 +162,16 @@ def test_ranking_over_policies_has_each_explainers_mean() -> None:
     assert cells == [(None, None), *(("blind_navigation_v0", n) for n in (None, 3, 4, 5))]
 
 
-def test_entries_of_other_code_under_one_name_are_not_ranked_over_policies() -> None:
-    first, other = made_entry("policy0", "mine", 0.9), made_entry("policy0", "mine", 0.4)
-    entries = [*made_board(["policy0", "policy1"], {"good": 0.8}), first, made_entry("policy1", "mine", 0.9)]
-    for more, rank in (([], 1), ([other], None)):  # its hyperparameters differ
+def test_of_explainers_with_one_name_the_one_on_most_policies_is_ranked() -> None:
+    """Other hyperparameters make another explainer. It is not the best value that counts."""
+    everywhere = [made_entry(f"policy{k}", "mine", 0.4, n_agents=3 + k) for k in (0, 1)]
+    entries = [*made_board(["policy0", "policy1"], {"good": 0.8}), *everywhere]
+    other = made_entry("policy0", "mine", 0.95, submitter="somebody else", hyperparameters={"epochs": 9})
+    for more in ([], [other]):
         overall = next(each for each in board([*entries, *more])["rankings"] if each["task"] is None)
         rows = {row["explainer"]: row for row in overall["rows"]}
-        assert rows["mine"]["rank"] == rank
-    assert rows["mine"]["reason"].startswith("entries are of other code or hyperparameters under the same")
-    assert rows["good"]["rank"] == 1
+        assert (rows["good"]["rank"], rows["mine"]["rank"]) == (1, 2)
+        assert rows["mine"]["value"] == pytest.approx(np.mean([order_of(each) for each in everywhere]))
 
 
 def test_gated_policies_are_not_ranked() -> None:

@@ -344,7 +344,7 @@ def test_small_teams_have_little_to_rank(n_agents: int) -> None:
     assert len(found.all_edges.explained) == n_agents - 1
 
 
-def test_a_number_does_not_hide_a_value_that_is_none() -> None:
+def test_a_number_does_not_replace_nan() -> None:
     edges = Edges.of(np.ones((1, 3, 3), dtype=bool), own_kept=True)
     best = Best.none(edges, row_wise=True)
     for value in (1.0, np.nan, 2.0):

@@ -124,7 +124,7 @@ def test_temporary_folders_are_private_and_deleted(strange: Strange) -> None:
 
 HARNESS = f"""
 import os, signal, time
-from xmarl_bench.isolation import keeper, process
+from xmarl_bench.isolation import process
 from xmarl_bench.isolation.limits import UNLIMITED
 
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from xmarl_baselines.explainers.attention import attention
+from xmarl_baselines.explainers.shapley import shapley_messages
 
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench.errors import InputError
@@ -19,15 +22,15 @@ from xmarl_bench.tasks.parallel_task import foreign_code
 def install(monkeypatch: pytest.MonkeyPatch, **plugins: str) -> None:
     """Pretend that a package registered these explainers: name (with _ for -) = "module:object"."""
     points = [EntryPoint(name.replace("_", "-"), value, names.EXPLAINERS) for name, value in plugins.items()]
-    monkeypatch.setattr(names, "entry_points", lambda group: points if group == names.EXPLAINERS else [])
+    monkeypatch.setattr(names, "entry_points", lambda group, **_: points if group == names.EXPLAINERS else [])
 
 
 def test_shipped_explainers_are_found_by_their_names() -> None:
     listed = names.explainer_names()
     assert listed[: len(CONTROLS)] == list(CONTROLS)
     assert {"attention", "gnn_explainer", "graphmask-pyg"} <= set(listed)
-    attention = registry.find_explainer("attention")
-    assert (origin_of_explainer(attention).distribution, attention.control) == ("xmarl-bench", False)
+    found = registry.find_explainer("attention")
+    assert (origin_of_explainer(found).distribution, found.control) == ("xmarl-bench", False)
     assert registry.find_explainer("random").control
 
 
@@ -120,3 +123,10 @@ def test_a_task_that_exits_is_named() -> None:
     said = r"'mine' failed in step \(SystemExit: 3\)"
     with pytest.raises(InputError, match=said), foreign_code("mine", "step"):
         raise SystemExit(3)
+
+
+def test_a_shipped_explainer_passed_as_an_object_has_the_origin_of_its_name() -> None:
+    for explainer in (attention, shapley_messages):
+        assert registry.recorded_origin(explainer) == registry.find_explainer(explainer.name).origin
+    own = replace(attention, hyperparameters={"mine": 1})
+    assert registry.recorded_origin(own).entry_point == "xmarl_baselines.explainers.attention:attention_mask"

@@ -123,7 +123,7 @@ class Unhashable:
 
 
 def test_a_factory_that_cannot_be_hashed_is_refused() -> None:
-    with pytest.raises(InputError, match="is not hashable: give a function, or a frozen dataclass"):
+    with pytest.raises(InputError, match=r"cannot be hashed \(.*Unhashable.*\): give a function"):
         sources.open_task(Unhashable())
 
 

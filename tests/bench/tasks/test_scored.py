@@ -103,7 +103,7 @@ def test_an_entry_says_that_rewards_are_not_finite() -> None:
         assert cell.not_measured[name] == why
     assert cell.metrics.fid_delta.n == 2
     (policy,) = board_of([("x.json", entry)])["tables"][0]["policies"]
-    assert policy["gate"] == "messages are not shown to help: neither success nor reward is measured"
+    assert policy["gate"] == "messages are not shown to help: no gain is measured"
 
 
 @pytest.mark.slow

@@ -95,6 +95,7 @@ def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
     assert ran.code == 0, ran.err
     first, second = (json.loads((out / "results.json").read_bytes()) for out in (scored, judged))
     assert (first.pop("existing"), second.pop("existing")) == (False, True)
+    assert min(first.pop("core_hours"), second.pop("core_hours")) > 0.0
     assert first == second
     (empty := tmp_path / "empty").mkdir()
     none = run(run_cli, "main", folders, tmp_path / "none", "--no-figures", "--entries", empty)

@@ -15,7 +15,7 @@ from xmarl_bench.papers.kailas2025.claims import GNN
 from xmarl_bench.papers.kailas2025.figures import INK, draw
 from xmarl_bench.papers.kailas2025.output import write_study
 from xmarl_bench.papers.kailas2025.plan import STUDIES
-from xmarl_bench.papers.kailas2025.results import StudyData, results_of
+from xmarl_bench.papers.kailas2025.results import StudyData, core_hours, results_of
 from xmarl_bench.papers.kailas2025.samples import Samples
 from xmarl_bench.papers.kailas2025.tables import Table, decisive, tables_of
 from xmarl_bench.policy import PolicyCard
@@ -60,6 +60,12 @@ def written(data: StudyData, tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(figures, "METRICS", ("fid_delta", "gef"))
         write_study(folder, data)
     return folder
+
+
+def test_what_the_entries_of_a_policy_share_costs_once() -> None:
+    first, second, other = (pair(*of)[1] for of in (("attention", 3, 0.0), (GNN, 3, 0.0), (GNN, 4, 0.0)))
+    # Each explains 100 timesteps at 0.001 s and plays for 1 s; oracle and controls take 0.001 s a timestep.
+    assert core_hours([first, second, other]) == pytest.approx((3 * 1.1 + 2 * 0.1) / 3600)
 
 
 def test_results_list_missing_cells_and_verdicts(data: StudyData) -> None:

@@ -111,7 +111,7 @@ def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     judged = [record(0.3)]
     results = {
         "schema": SCHEMA, "study": "main", "title": "A title", "existing": False, "families": ["paper"],
-        "policies": [], "missing": ["passage, N = 5"],
+        "policies": [], "missing": ["passage, N = 5"], "core_hours": 1.25,
         "protocol": {"id": PROTOCOL, "episodes": 4, "timesteps": 3, "seeds": [0, 3]}, "performance": [],
         "ledger": judged, "beyond": [], "lenses": [{"name": "a lens", "text": "seen so", "claims": judged}],
     }  # fmt: skip
@@ -125,6 +125,7 @@ def test_a_page_is_made_from_a_folder_of_results(tmp_path: Path) -> None:
     assert "### Held: 1 of 1" in page
     assert "Attention is better: **survives**, held through the one lens that applies to it" in page
     assert "Missing: passage, N = 5." in page
+    assert "took 1.2 core-hours" in page
     assert "- Larger teams than in training: navigation: `xmarl-bench study zero-shot`\n\n**How" in page
     assert "xmarl-bench study main --jobs 2 --policy paper --episodes 4 --timesteps 3\n" in page
     existing = command({**results, "existing": True})

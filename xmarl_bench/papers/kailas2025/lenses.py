@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from xmarl_bench.metrics.absence import Absence
+from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.papers.kailas2025.claims import (
     ATTENTION,
     GNN,
@@ -23,7 +25,7 @@ from xmarl_bench.papers.kailas2025.claims import (
 )
 
 # Scaled to about 1, not in action units.
-SHARES = ("budgeted_fidelity", "comm_budgeted_fidelity", "behavioural_fidelity")
+SHARES = ("budgeted_fidelity", *UNDER_ABSENCES, "message_fidelity", "behavioural_fidelity")
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,16 @@ class Lens:
 COMMUNICATION = {name: f"comm_{name}" for name in ("fid_delta", "fid_plus", "fid_minus", "gef")}
 COMMUNICATION_BUDGETED = {"fid_delta": "comm_budgeted_fidelity"}
 
+# The paper takes a message away by a zero.
+BY_ABSENCE = tuple(
+    Lens(
+        f"absence: {absence}",
+        f"communication-only budgeted fidelity under the absence model `{absence}`, in place of FidDelta",
+        metrics={"fid_delta": metric},
+    )
+    for absence, metric in zip(Absence, UNDER_ABSENCES, strict=True)
+    if absence is not Absence.ZERO
+)
 BEHAVIOUR = Lens(
     "behaviour",
     "behavioural fidelity in place of FidDelta: success of the team on the explanation's messages above its "
@@ -102,5 +114,11 @@ LENSES = (
         VARIANTS,
         COMMUNICATION_BUDGETED,
     ),
+    Lens(
+        "message fidelity",
+        "message fidelity in place of FidDelta: the leaderboard's order, over all absence models",
+        metrics={"fid_delta": "message_fidelity"},
+    ),
+    *BY_ABSENCE,
     BEHAVIOUR,
 )

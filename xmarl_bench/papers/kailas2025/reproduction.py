@@ -44,7 +44,10 @@ HEADLINES = [f"main-{name}" for name in (
     "attention-gef", "attention-fid-delta", "graphmask-fid-minus", "graphmask-fid-plus", "graphmask-gef",
     "gnn-mixed", "success", "distance",
 )]  # fmt: skip
-KEPT = ("schema", "study", "title", "existing", "protocol", "families", "policies", "missing", "performance")
+KEPT = (
+    "schema", "study", "title", "existing", "protocol", "families", "policies", "missing", "core_hours",
+    "performance",
+)  # fmt: skip
 CONTRAST = (
     "metric", "relation", "compares", "a_mean", "b_mean", "difference", "interval", "p_adjusted", "effect",
     "n_policies", "n_episodes", "verdict",

@@ -1,6 +1,6 @@
 """results.json of a study: all data of its tables, captions and findings.
 
-Derived from entries only, without times or paths: the same entries give the same bytes.
+Derived from entries only, without paths: the same entries give the same bytes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from xmarl_bench.papers.kailas2025.plan import Study
 from xmarl_bench.papers.kailas2025.samples import Samples, percent_of
 from xmarl_bench.policy import PolicyCard
 
-SCHEMA = 3
+SCHEMA = 4
 # Metrics of the tables.
 QUALITY = (
     "fid_delta", "gef", "fid_plus", "fid_minus", "comm_budgeted_fidelity", "budgeted_fidelity",
@@ -63,6 +63,7 @@ def results_of(data: StudyData) -> Json:
         "families": [] if None in families else sorted(map(str, families)),  # none if one has no family
         "policies": _policies(data),
         "missing": missing(data),
+        "core_hours": core_hours([entry for _, entry in data.pairs]),
         "quality": quality(data),
         "performance": performance(samples, study.cells),
         "ledger": [judged_record(judge.judge(claim)) for claim in study.claims],
@@ -72,6 +73,20 @@ def results_of(data: StudyData) -> Json:
             for lens in LENSES
         ],
     }
+
+
+def core_hours(entries: Sequence[Entry]) -> float:
+    """Hours of one thread to explain, measure and play, as the entries measured it.
+
+    What entries of a policy share (oracle, controls) counts once.
+    """
+    explained, shared = 0.0, dict[str, float]()
+    for entry in entries:
+        cost, where = entry.cost, f"{entry.policy.name} {[cell.n_agents for cell in entry.results]}"
+        explained += cost.explain_seconds_per_timestep * cost.explained_timesteps + cost.behaviour_seconds
+        of_states = cost.shared_seconds_per_timestep * cost.explained_timesteps
+        shared[where] = max(shared.get(where, 0.0), of_states)
+    return (explained + sum(shared.values())) / 3600
 
 
 def quality(data: StudyData) -> list[Json]:

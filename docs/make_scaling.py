@@ -68,7 +68,7 @@ def section(entries: list[Measured]) -> str:
             if part:
                 summands.append(f"{mean(seconds for _, seconds in part):.1f}")
                 total += mean(seconds for _, seconds in part)
-    hours = total * POLICIES / 3600
+    hours, n_ours = total * POLICIES / 3600, len(shared)
     timesteps = [entry.cost["explained_timesteps"] for entry in entries]
     cpus = ", ".join(sorted({entry.cpu for entry in entries}))
     some = f"{min(timesteps)} to {max(timesteps)}"
@@ -77,6 +77,8 @@ def section(entries: list[Measured]) -> str:
         f"Means over the policies of {len(entries)} entries, of {some} timesteps, on {cpus}.",
         "",
         f"A policy takes the sum of the means, {' + '.join(summands)} = {total:.0f} s.",
+        f"The leaderboard's {n_ours} policies, `make score ALL=1`, take {n_ours} x {total:.0f} s / 3600 = "
+        f"{n_ours * total / 3600:.1f} core-hours.",
         f"{POLICIES:,} policies take {POLICIES:,} x {total:.0f} s / 3600 = {hours:,.0f} core-hours:",
         f"{hours / CORES:,.1f} hours on {CORES} cores, and {hours:,.0f} x {PRICE:.2f} = {hours * PRICE:,.0f} "
         f"US dollars if a core costs {PRICE:.2f} an hour (an assumption: insert your price).",

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from xmarl_bench.records.files import write_atomically
+
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], n_numbers: int = 0) -> str:
     """A table, whose last n_numbers columns are aligned right."""
@@ -21,8 +23,8 @@ def with_part(text: str, name: str, part: str) -> str:
 
 
 def rewrite(path: Path, change: Callable[[str], str]) -> None:
-    """Write a document anew, with the same ends of lines on every system."""
-    path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")
+    """Write a document anew, atomically, with the same ends of lines on every system."""
+    write_atomically(path, change(path.read_text(encoding="utf-8")).encode())
 
 
 def from_template(path: Path, filters: dict[str, Callable[..., str]] | None = None, **values: Any) -> str:

@@ -141,9 +141,9 @@ def test_the_term_is_judged_over_pairs_of_runs(script: dict[str, Any]) -> None:
 
 
 def test_scores_are_those_of_the_ranking_over_all_tasks() -> None:
-    def row(name: str, value: float | None, rank: int | None) -> dict[str, Any]:
+    def row(name: str, value: float | None, partial: str | None) -> dict[str, Any]:
         metrics = {"message_fidelity": {"value": value}, "gef": None}
-        return {"explainer": name, "rank": rank, "metrics": metrics}
+        return {"explainer": name, "control": False, "partial": partial, "metrics": metrics}
 
     board = {
         "rankings": [
@@ -165,14 +165,14 @@ def test_scores_are_those_of_the_ranking_over_all_tasks() -> None:
                 "protocol": protocol,
                 "n_agents": n_agents,
                 "oracle": "enumerated",
-                "policies": [{"name": name, "rows": [row("x", value, rank), row("y", None, None)]}],
+                "policies": [{"name": name, "rows": [row("x", value, partial), row("y", None, partial)]}],
             }
-            for name, n_agents, protocol, value, rank in (
-                ("a", 3, "p", 0.5, 1),
-                ("a", 3, "p", 0.9, None),  # partial scores, such as of shorter episodes
-                ("a", 3, "q", 0.9, 1),
-                ("a", 8, "p", 0.9, 1),
-                ("b", 3, "p", 0.9, 1),
+            for name, n_agents, protocol, value, partial in (
+                ("a", 3, "p", 0.5, None),
+                ("a", 3, "p", 0.9, "shorter episodes"),
+                ("a", 3, "q", 0.9, None),
+                ("a", 8, "p", 0.9, None),
+                ("b", 3, "p", 0.9, None),
             )
         ],
     }

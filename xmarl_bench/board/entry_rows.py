@@ -42,13 +42,16 @@ class Group:
         """The ranked rows: not controls, partial scores, rows of gated policies, and rows without a value."""
         if self.policy["gate"] is not None:
             return []
-        whole = [row for row in self.rows if row["partial"] is None and not row["control"]]
-        return [row for row in whole if value_of(row) is not None]
+        return [row for row in self.rows if _is_whole_score(row) and value_of(row) is not None]
 
 
 def is_whole(policy: Json) -> bool:
     """Whether a table's scores of a policy are whole: a table's are all, or all partial."""
-    return any(row["partial"] is None and not row["control"] for row in policy["rows"])
+    return any(map(_is_whole_score, policy["rows"]))
+
+
+def _is_whole_score(row: Json) -> bool:
+    return row["partial"] is None and not row["control"]
 
 
 def value_of(row: Json) -> float | None:

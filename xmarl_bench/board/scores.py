@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xmarl_bench.board.entry_rows import is_whole
 from xmarl_bench.metrics.statistics import Difference, over_runs
 from xmarl_bench.metrics.student import Design
 
@@ -42,8 +43,7 @@ class Scores:
         values: dict[str, dict[str, dict[str, float]]] = {}
         for table in tables:
             for policy in table["policies"]:
-                whole = any(row["rank"] is not None for row in policy["rows"])
-                if not whole or (policy["name"], table["n_agents"]) not in compared:
+                if not is_whole(policy) or (policy["name"], table["n_agents"]) not in compared:
                     continue
                 policies.append({**policy, "task": table["task"], "n_agents": table["n_agents"]})
                 for row in policy["rows"]:

@@ -15,6 +15,7 @@ from statistics import mean, median
 from typing import Any, NamedTuple
 
 from xmarl_bench.entry.file import SHARED, entry_files
+from xmarl_bench.entry.schema import Cost
 from xmarl_bench.records.markdown import markdown_table, rewrite, with_part
 
 HERE = Path(__file__).parent
@@ -31,17 +32,13 @@ class Measured(NamedTuple):
     policy: str
     n_agents: int
     timesteps: int | None  # of an episode; None: all
-    cost: dict[str, Any]
+    cost: Cost
     cpu: str
 
     @property
     def label(self) -> str:
         some = "" if self.timesteps is None else f", {self.timesteps} timesteps an episode"
         return f"`{self.explainer}`{some}"
-
-    def seconds(self, what: str) -> float:
-        """Of `explain` or `shared`."""
-        return float(self.cost[f"{what}_seconds_per_timestep"] * self.cost["explained_timesteps"])
 
 
 def section(entries: list[Measured]) -> str:
@@ -55,12 +52,12 @@ def section(entries: list[Measured]) -> str:
     total = mean([seconds for _, seconds in shared])
     summands = [f"{total:.1f}"]
     for label, its_entries in sorted(by_explainer.items()):
-        masks = [(entry.n_agents, entry.seconds("explain")) for entry in its_entries]
+        masks = [(entry.n_agents, entry.cost.explain_seconds) for entry in its_entries]
         rows.append(_row(f"{label}: masks", sizes, masks))
         played = [
-            (entry.n_agents, entry.cost["behaviour_seconds"])
+            (entry.n_agents, entry.cost.behaviour_seconds)
             for entry in its_entries
-            if entry.cost["behaviour_seconds"]
+            if entry.cost.behaviour_seconds
         ]
         if played:
             rows.append(_row(f"{label}: playing on them", sizes, played))
@@ -69,7 +66,7 @@ def section(entries: list[Measured]) -> str:
                 summands.append(f"{mean(seconds for _, seconds in part):.1f}")
                 total += mean(seconds for _, seconds in part)
     hours, n_ours = total * POLICIES / 3600, len(shared)
-    timesteps = [entry.cost["explained_timesteps"] for entry in entries]
+    timesteps = [entry.cost.explained_timesteps for entry in entries]
     cpus = ", ".join(sorted({entry.cpu for entry in entries}))
     some = f"{min(timesteps)} to {max(timesteps)}"
     lines = [
@@ -92,7 +89,7 @@ def _shared(entries: list[Measured]) -> list[tuple[int, float]]:
     seconds: dict[tuple[str, int], list[float]] = defaultdict(list)
     for entry in entries:
         if entry.timesteps is None:
-            seconds[entry.policy, entry.n_agents].append(entry.seconds("shared"))
+            seconds[entry.policy, entry.n_agents].append(entry.cost.shared_seconds)
     return [(n_agents, median(each)) for (_, n_agents), each in seconds.items()]
 
 
@@ -122,7 +119,8 @@ def measured() -> list[Measured]:
         if {cell["n_agents"] for cell in shared["results"]} == {policy["n_agents"]}:
             explainer, cpu = own["explainer"]["name"], own["provenance"]["cpu"]
             name, n_agents, timesteps = policy["name"], policy["n_agents"], protocol["timesteps"]
-            found.append(Measured(explainer, name, n_agents, timesteps, own["cost"], cpu))
+            cost = Cost.model_validate(own["cost"])
+            found.append(Measured(explainer, name, n_agents, timesteps, cost, cpu))
     return found
 
 

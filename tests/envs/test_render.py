@@ -17,11 +17,6 @@ from xmarl_envs.vector_env import VectorEnv
 from tests.envs.pictures import at, count, darkness, drawn, rendered, scene_of, tasks
 
 
-@pytest.fixture(autouse=True)
-def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-
 @pytest.mark.slow
 @tasks
 @pytest.mark.parametrize("n_agents", [1, 3, 5])

@@ -15,11 +15,6 @@ from xmarl_envs import TaskParallelEnv, make_task
 from tests.envs.pictures import Floats, rendered, tasks
 
 
-@pytest.fixture(autouse=True)
-def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-
 @pytest.mark.parametrize(
     ("mask", "said"),
     [

@@ -69,12 +69,11 @@ def print_scores(entries: Sequence[Entry], used: Sequence[Explainer]) -> None:
     print_tables(shown)
     print("index.html and the entries have all metrics.")
     for entry in entries:
-        cost, timesteps = entry.cost, entry.cost.explained_timesteps
+        cost, timesteps = entry.cost, counted(entry.cost.explained_timesteps, "timestep")
         print(
-            f"{entry.policy.name}, {entry.explainer.name}: {counted(timesteps, 'timestep')} explained in "
-            f"{cost.explain_seconds_per_timestep * timesteps:.1f} s, rolled out in "
-            f"{cost.behaviour_seconds:.1f} s; oracle and controls, once per policy, "
-            f"{cost.shared_seconds_per_timestep * timesteps:.1f} s."
+            f"{entry.policy.name}, {entry.explainer.name}: {timesteps} explained in "
+            f"{cost.explain_seconds:.1f} s, rolled out in {cost.behaviour_seconds:.1f} s; "
+            f"oracle and controls, once per policy, {cost.shared_seconds:.1f} s."
         )
     slow = [explainer.name for explainer in used if explainer.slow]
     limited = [entry.protocol for entry in entries if entry.explainer.name in slow]

@@ -80,7 +80,7 @@ def verify(
     from xmarl_bench.records.strict_json import printable
     from xmarl_bench.submission.batch import Unit, verify_all
     from xmarl_bench.submission.checking import check
-    from xmarl_bench.submission.verdict_lines import lines
+    from xmarl_bench.submission.verdict_lines import lines, place
     from xmarl_bench.submission.verification import Options, Tier, is_signed, signed
 
     if tier not in list(Tier):
@@ -120,7 +120,7 @@ def verify(
     for k, verdict in verify_all(units, options, workers):
         (path, folder), file = places[k], units[k].file
         if isinstance(verdict, Failure):
-            print(f"xmarl-bench: {printable(path)}: {printable(file)}: {verdict.error}", file=sys.stderr)
+            print(f"xmarl-bench: {place(path, file)}: {verdict.error}", file=sys.stderr)
             code = 2
             continue
         verdicts[k] = verdict.record(str(path), file)

@@ -141,6 +141,16 @@ class Cost(Record):
     shared_seconds_per_timestep: Seconds  # oracle, controls and their metrics: once for all explainers
     behaviour_seconds: Seconds  # rollouts on the explanation and on its complement
 
+    @property
+    def explain_seconds(self) -> float:
+        """For all timesteps."""
+        return self.explain_seconds_per_timestep * self.explained_timesteps
+
+    @property
+    def shared_seconds(self) -> float:
+        """For all timesteps."""
+        return self.shared_seconds_per_timestep * self.explained_timesteps
+
 
 class Provenance(Record):
     """Numbers repeat bit for bit if `packages`, `python`, `machine` and `cpu_capability` are the same."""

@@ -110,12 +110,10 @@ def _oracle(request: Request, cell: Cell, rows: Sequence[EpisodeRow]) -> OracleR
 def total_cost(costs: Sequence[Cost]) -> Cost:
     """The cost of all cells of an entry."""
     n = sum(each.explained_timesteps for each in costs)
-    explain = sum(each.explain_seconds_per_timestep * each.explained_timesteps for each in costs) / n
-    shared = sum(each.shared_seconds_per_timestep * each.explained_timesteps for each in costs) / n
     return Cost(
-        explain_seconds_per_timestep=rounded(explain),
+        explain_seconds_per_timestep=rounded(sum(each.explain_seconds for each in costs) / n),
         explained_timesteps=n,
-        shared_seconds_per_timestep=rounded(shared),
+        shared_seconds_per_timestep=rounded(sum(each.shared_seconds for each in costs) / n),
         behaviour_seconds=rounded(sum(each.behaviour_seconds for each in costs)),
     )
 

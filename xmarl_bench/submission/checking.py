@@ -37,7 +37,7 @@ MAX_FINDINGS = 20  # per file
 
 @dataclass
 class Checked:
-    """The content of a path, and what is wrong with it: sentences that begin with the file's name."""
+    """The content of a path, and what is wrong with it: sentences that begin with the place in the path."""
 
     path: Path
     entries: dict[str, Entry] = field(default_factory=dict)  # by file name
@@ -54,6 +54,10 @@ class Checked:
     def folder(self) -> Path:
         """The folder of the entries, unless it is a bundle."""
         return folder_of_entries(self.path) if self.path.is_dir() else self.path.parent
+
+    def told(self, file: str, sentence: str) -> str:
+        """The sentence, after the file's name unless the path is that file."""
+        return sentence if self.path.name == file else f"{printable(file)}: {sentence}"
 
     def part(self, file: str) -> Checked:
         """The part that a worker needs to verify one of the entries."""
@@ -110,7 +114,7 @@ def check(path: Path) -> Checked:
         for cell in entry.results:
             why = partial_reason(entry.protocol, cell)
             if why is not None:
-                checked.remarks.append(f"{printable(file)}: a partial score ({why}): valid, but not ranked.")
+                checked.remarks.append(checked.told(file, f"a partial score ({why}): valid, but not ranked."))
     if path.is_dir() or checked.is_bundle:
         checked.remarks += coverage_remarks(checked.entries.values())
     if not checked.findings:  # the most expensive checks come last, and need valid rows
@@ -131,10 +135,10 @@ def _read(path: Path) -> bytes:
 
 def _add(checked: Checked, file: str, findings: Iterator[str]) -> None:
     listed = list(findings)
-    file = printable(file)
-    checked.findings += [f"{file}: {each}" for each in listed[:MAX_FINDINGS]]
+    checked.findings += [checked.told(file, each) for each in listed[:MAX_FINDINGS]]
     if len(listed) > MAX_FINDINGS:
-        checked.findings.append(f"{file}: and {counted(len(listed) - MAX_FINDINGS, 'more finding')}.")
+        more = counted(len(listed) - MAX_FINDINGS, "more finding")
+        checked.findings.append(checked.told(file, f"and {more}."))
 
 
 def _check_entry(checked: Checked, file: str, data: bytes, folder: Path | None = None) -> Entry | None:
@@ -142,7 +146,7 @@ def _check_entry(checked: Checked, file: str, data: bytes, folder: Path | None =
     try:
         entry = parse_entry(data, folder)
     except ValueError as error:
-        checked.findings.append(f"{printable(file)}: it {error}.")
+        checked.findings.append(checked.told(file, f"it {error}."))
         return None
     checked.entries[file] = entry
     _add(checked, file, entry_findings(entry))

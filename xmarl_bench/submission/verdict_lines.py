@@ -20,9 +20,14 @@ WALLS: dict[Wall, str] = {
 }
 
 
+def place(path: Path, file: str) -> str:
+    """The entry's place: the file itself, or the folder or bundle that was given and the file in it."""
+    return printable(path) if path.name == file else f"{printable(path)}: {printable(file)}"
+
+
 def lines(path: Path, file: str, verdict: Verdict) -> Iterator[str]:
     """Lines to print: one per finding, or one that tells how the entry passed."""
-    where = f"{printable(path)}: {printable(file)}"
+    where = place(path, file)
     for finding in verdict.findings:
         yield f"{where}: {finding}"
     if verdict.fresh is not None:

@@ -107,11 +107,9 @@ def test_validate_exits_0_1_2(tmp_path: Path, entries: list[Entry], run_cli: Run
     assert run_cli("validate", good, tmp_path / "good").code == 0
     ran = run_cli("validate", good, bad)
     assert ran.code == 1
-    partial = (
-        f"{good}: {good.name}: a partial score (7 of the protocol's 50 episodes): valid, but not ranked."
-    )
-    assert ran.out.splitlines()[0] == partial
-    assert ran.out.splitlines()[2].startswith(f"{bad}: bad.json: it was changed after it was written")
+    partial = "a partial score (7 of the protocol's 50 episodes): valid, but not ranked."
+    assert ran.out.splitlines()[0] == f"{good}: {partial}"
+    assert ran.out.splitlines()[2].startswith(f"{bad}: it was changed after it was written")
     ran = run_cli("validate", tmp_path / "none.json", good)
     assert ran.code == 2
     assert ran.err.count("\n") == 1

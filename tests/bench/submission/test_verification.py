@@ -233,7 +233,12 @@ def test_a_sign_off_adds_only_its_block(
     assert unsigned == entries[0]
     # An entry file is signed in place; a second tier replaces the block of the first.
     file = out / entries[0].file_name
-    assert run_cli("verify", file, "--by", "B").code == 0
+    ran = run_cli("verify", file, "--by", "B")
+    assert ran.code == 0
+    assert [line.split(", ")[0] for line in ran.out.splitlines()] == [
+        f"{file}: a partial score (7 of the protocol's 50 episodes): valid",
+        f"{file}: recomputed",
+    ]
     assert (read_entry(file).verification.status, read_entry(file).verification.by) == ("recomputed", "B")
 
 

@@ -83,9 +83,8 @@ def core_hours(entries: Sequence[Entry]) -> float:
     explained, shared = 0.0, dict[str, float]()
     for entry in entries:
         cost, where = entry.cost, f"{entry.policy.name} {[cell.n_agents for cell in entry.results]}"
-        explained += cost.explain_seconds_per_timestep * cost.explained_timesteps + cost.behaviour_seconds
-        of_states = cost.shared_seconds_per_timestep * cost.explained_timesteps
-        shared[where] = max(shared.get(where, 0.0), of_states)
+        explained += cost.explain_seconds + cost.behaviour_seconds
+        shared[where] = max(shared.get(where, 0.0), cost.shared_seconds)
     return (explained + sum(shared.values())) / 3600
 
 

@@ -32,7 +32,8 @@ def export(
     A safetensors file and its card for each policy, and the policy itself. Interrupted, it leaves
     only complete files.
     """
-    from xmarl_bench.dataset import planted_dataset, played_dataset, written
+    from xmarl_bench.dataset import dataset_name, planted_dataset, played_dataset, written
+    from xmarl_bench.errors import InputError
     from xmarl_bench.parallel.fan_out import in_order
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.planted.families import teams
@@ -45,10 +46,18 @@ def export(
             partial(planted_dataset, family, size, n_steps=episodes, seed=seed) for family, size in teams()
         ]
     else:
-        units = [
-            partial(played_dataset, network, card, cell, episodes=episodes, seed=seed, max_cycles=max_cycles)
+        played = [
+            (network, card, cell)
             for network, card, cells in select_policies(policy, task, agents, team, trust_code=trust_code)
             for cell in cells
+        ]
+        names = [dataset_name(card, cell) for _, card, cell in played]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two datasets would be {name}: export one of them into another folder.")
+        units = [
+            partial(played_dataset, *each, episodes=episodes, seed=seed, max_cycles=max_cycles)
+            for each in played
         ]
     for path in in_order(partial(written, out), units, workers=Workers(jobs), progress="export"):
         print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")

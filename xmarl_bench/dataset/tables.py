@@ -46,6 +46,11 @@ class Dataset:
     bundle: tuple[PolicyCard, bytes] | None = None  # None if the policy is code, or the file was read
 
 
+def dataset_name(card: PolicyCard, cell: Cell) -> str:
+    """The policy's name, with the team's size if it is not that of its training."""
+    return card.name if cell.n_agents == card.n_agents else f"{card.name}-n{cell.n_agents}"
+
+
 def played_dataset(
     policy: Policy,
     card: PolicyCard,
@@ -77,7 +82,7 @@ def played_dataset(
     arrays["timestep"] = np.concatenate([np.arange(each.makespan) for each in played])
     arrays["seed"] = np.array(seeds)
     about = Card(
-        name=card.name if cell.n_agents == card.n_agents else f"{card.name}-n{cell.n_agents}",
+        name=dataset_name(card, cell),
         task=cell.task,
         n_agents=cell.n_agents,
         episodes=episodes,

@@ -36,6 +36,17 @@ def parallel_task(name: str, make_env: Callable[[int], Any], n_agents: int) -> P
         raise InputError(
             f"task {name!r} is a {type(env).__name__}: make its function return a PettingZoo ParallelEnv."
         )
+    try:
+        task = _described(name, make_env, n_agents, env)
+    finally:
+        with foreign_code(name, "close"):
+            env.close()
+    _check_repeats(task)
+    return task
+
+
+def _described(name: str, make_env: Callable[[int], Any], n_agents: int, env: Parallel) -> ParallelTask:
+    """The task, as its environment says."""
     agents = list(getattr(env, "possible_agents", ()))
     if len(agents) != n_agents:
         raise InputError(
@@ -47,14 +58,10 @@ def parallel_task(name: str, make_env: Callable[[int], Any], n_agents: int) -> P
         acted = [env.action_space(agent) for agent in agents]
     _check_equal(name, "observation", agents, observed)
     _check_equal(name, "action", agents, acted)
-    task = ParallelTask(
+    return ParallelTask(
         name, n_agents, make_env, _obs_dim(name, observed[0]), _action_space(name, acted[0]),
         _max_cycles(name, env), type(env.unwrapped),
     )  # fmt: skip
-    with foreign_code(name, "close"):
-        env.close()
-    _check_repeats(task)
-    return task
 
 
 def _check_equal(name: str, kind: str, agents: list[str], found: list[spaces.Space[Any]]) -> None:

@@ -72,6 +72,13 @@ def test_a_policy_in_two_team_sizes_has_two_files(tmp_path: Path, run_cli: RunCl
     assert [path.name for path in (tmp_path / "d" / "policies").iterdir()] == ["small"]
 
 
+def test_two_datasets_of_one_name_are_refused(tmp_path: Path, run_cli: RunCli) -> None:
+    one, two = save_bundle(tmp_path), save_bundle(tmp_path, n_agents=4, name="small-n4")
+    ran = run_cli("export", "--policy", one, "--policy", two, "--team", 4, "--out", tmp_path / "d")
+    assert (ran.code, "two datasets would be small-n4: export one of them" in ran.err) == (2, True)
+    assert not (tmp_path / "d").exists()
+
+
 @pytest.mark.slow
 def test_the_card_lists_every_array_with_its_shape(tmp_path: Path, run_cli: RunCli) -> None:
     exported(save_bundle(tmp_path), tmp_path / "d", run_cli)

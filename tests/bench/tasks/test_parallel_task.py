@@ -103,6 +103,19 @@ def test_what_cannot_be_scored_is_refused_in_one_sentence(make: Callable[[int], 
     assert str(refused.value).startswith("task 'mine'") or "in task 'mine'" in str(refused.value)
 
 
+@pytest.mark.parametrize("bad", [worlds.one_too_many, worlds.Pictures, worlds.Endless])
+def test_an_environment_that_is_refused_is_closed(bad: Callable[[int], worlds.Line]) -> None:
+    made = []
+
+    def make(n_agents: int) -> worlds.Line:
+        made.append(bad(n_agents))
+        return made[-1]
+
+    with pytest.raises(InputError):
+        parallel_task("mine", make, 3)
+    assert [env.closed for env in made] == [True]
+
+
 @pytest.mark.parametrize("make", [worlds.spread, worlds.spread_continuous, worlds.pursuit])
 def test_environments_of_others_are_taken(make: Callable[[int], Any]) -> None:
     task = parallel_task("theirs", make, 4)

@@ -46,6 +46,10 @@ class Line(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # no py.typed in 
         self.possible_agents = [f"agent_{k}" for k in range(n_agents)]
         self.agents: list[str] = []
         self.rng = np.random.default_rng(0)
+        self.closed = False
+
+    def close(self) -> None:
+        self.closed = True
 
     def observation_space(self, agent: str) -> Any:
         return spaces.Box(-9.0, 99.0, (2,), np.float32)

@@ -26,7 +26,8 @@ SCORE_OPTIONS ?= --policy default --explainer attention $(OTHERS:%=--explainer %
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help venv score larger quick test suite lint type rescore board docs bench wheel-test
+.PHONY: help venv score larger quick test suite lint type rescore board docs bench wheel-test \
+	test-pythons test-lowest test-newest
 
 help:  ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -45,11 +46,13 @@ score: $(STAMP)  ## Score three explainers on each cell's best policy; ALL=1: al
 quick: $(STAMP)  ## Run the tests that take half a minute together
 	$(BIN)/python -m pytest --numprocesses 2 -m "$(QUICK)"
 
-test: lint type suite  ## Run all checks: lint, types and the whole test suite
+# Types need one process, which beside the suite costs little time of its own.
+test: lint  ## Run all checks: lint, types and the whole test suite
+	$(MAKE) --jobs 2 type suite
 
-# Tests wait for processes that they start: four at a time keep two cores busy.
+# Tests wait for processes that they start: three at a time keep two cores busy.
 suite: $(STAMP)
-	$(BIN)/python -m pytest --numprocesses 4
+	$(BIN)/python -m pytest --numprocesses 3
 
 test-pythons:  ## Test on every Python at hand what needs no torch; WHOLE=1: everything
 	$(PYTHON) tests/pythons.py $(if $(WHOLE),--whole)

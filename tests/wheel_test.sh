@@ -42,8 +42,6 @@ PYTHON
 bin=$folder/venv/bin
 "$bin/xmarl-bench" list tasks
 policy=$("$bin/xmarl-bench" list policies --json | "$bin/python" -c 'import json, sys; print(json.load(sys.stdin)[0]["name"])')
-"$bin/xmarl-bench" score --policy "$policy" --explainer attention --episodes 1 --timesteps 5 --out scores
-test -s scores/leaderboard.json
 "$bin/xmarl-bench" list explainers
 cat > own.py <<'PYTHON'
 import torch
@@ -54,7 +52,8 @@ def closest(policy, observations, generator):
     position = observations[..., :2]
     return torch.exp(-torch.cdist(position, position))
 PYTHON
-"$bin/xmarl-bench" score --policy "$policy" --explainer own.py:closest --episodes 1 --timesteps 5 --out scores
+"$bin/xmarl-bench" score --policy "$policy" --explainer attention --explainer own.py:closest --episodes 1 --timesteps 5 --out scores
+test -s scores/leaderboard.json
 "$bin/xmarl-bench" board serve scores --port 0 > address &
 server=$!
 trap 'kill "$server" 2>/dev/null || true; rm -rf "$folder"' EXIT
@@ -68,14 +67,12 @@ assert b"closest" in urlopen(address.replace("index.html", "leaderboard.json"), 
 assert b"<title>" in urlopen(address, timeout=10).read()
 PYTHON
 kill "$server"
-"$bin/xmarl-bench" new explainer my-explainer
-"$bin/python" -m pip install --quiet --no-deps ./my-explainer
-"$bin/xmarl-bench" check explainer my-explainer
-"$bin/xmarl-bench" score --policy "$policy" --explainer my-explainer --episodes 1 --timesteps 5 --out scores
+"$bin/xmarl-bench" new explainer my-explainer  # tests/bench/plugins/test_installed_plugins.py installs and scores one
+test -s my-explainer/pyproject.toml
 extras=$("$bin/python" -c 'from importlib.metadata import metadata; print(*metadata("xmarl-bench").get_all("Provides-Extra"))')
 wheel=$(echo "$folder"/dist/*.whl)
-# All together; on a release (EACH_EXTRA) also one by one.
-for extra in "${extras// /,}" ${EACH_EXTRA:+$extras}; do
+# `make venv` installs what all extras but docs bring; on a release (EACH_EXTRA) all, together and one by one.
+for extra in docs ${EACH_EXTRA:+"${extras// /,}" $extras}; do
     "$bin/python" -m pip install --quiet --dry-run --constraint "$repository/constraints.txt" "$wheel[$extra]"
     echo "wheel-test: $extra can be installed"
 done

@@ -11,17 +11,17 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
-from scipy.stats import kendalltau
+from scipy.stats import kendalltau, page_trend_test
 from xmarl_baselines.dose import RECORDS
 
 from xmarl_bench.counted import counted
 from xmarl_bench.metrics.statistics import Difference, over_runs
+from xmarl_bench.metrics.student import CONFIDENCE
 from xmarl_bench.records.markdown import from_template
 
 DOCS = Path(__file__).parent
@@ -52,29 +52,37 @@ def against_none(runs: Runs, weight: float, metric: str) -> Difference:
     return over_runs(*([[runs[each][seed][metric]] for seed in seeds] for each in (weight, 0.0)))
 
 
-def trend(runs: Runs, metric: str) -> Difference:
-    """Kendall's tau between lambda and the metric within a seed, over the seeds that have every lambda."""
+class Trend(NamedTuple):
+    """Of a metric along lambda, within the seeds that have every lambda."""
+
+    tau: float  # Kendall's, mean over seeds; NaN if the metric is constant
+    p: float  # of Page's test, two-sided: do the seeds order the lambdas alike?
+    n: int
+
+    @property
+    def decided(self) -> bool:
+        return self.p < 1.0 - CONFIDENCE
+
+    def __str__(self) -> str:
+        small = "p under 0.001" if self.p < 0.001 else f"p {self.p:.3f}"
+        return "undefined" if np.isnan(self.tau) else f"{self.tau:+.2f} ({small})"
+
+
+def trend(runs: Runs, metric: str) -> Trend:
     seeds = sorted(set.intersection(*(set(each) for each in runs.values())))
-    taus = [[kendalltau(list(runs), [of[seed][metric] for of in runs.values()]).statistic] for seed in seeds]
-    return over_runs(taus, [[0.0] for _ in taus])
-
-
-def shown_tau(found: Difference) -> str:
-    """Student's interval of equal values has no width, and that of others may leave tau's range."""
-    if found.interval is None:
-        return str(found)
-    low, high = np.clip(found.interval, -1.0, 1.0)
-    return f"{low:+.2f} in each seed" if low == high else str(replace(found, interval=(low, high)))
+    values = np.array([[of[seed][metric] for of in runs.values()] for seed in seeds])
+    taus = np.array([kendalltau(list(runs), each).statistic for each in values])
+    tau = float(taus[~np.isnan(taus)].mean()) if not np.isnan(taus).all() else float("nan")
+    one_sided = [page_trend_test(sign * values, method="exact").pvalue for sign in (1.0, -1.0)]
+    return Trend(tau, min(1.0, 2.0 * float(min(one_sided))), len(seeds))
 
 
 def answer(runs: Runs) -> str:
     """The first sentences of the page."""
     found = trend(runs, "message_fidelity")
-    assert found.value is not None
-    if found.holds_zero:
+    said = f"More of the term makes attention {'truer' if found.tau > 0 else 'less true'}"
+    if not found.decided:
         said = "It is not decided whether more of the term makes attention truer"
-    else:
-        said = f"More of the term makes attention {'truer' if found.value > 0 else 'less true'}"
     differences = {each: against_none(runs, each, "message_fidelity") for each in runs if each > 0.0}
     decided = "".join(
         f"With lambda {weight:g} message fidelity differs from that without the term by "
@@ -84,13 +92,12 @@ def answer(runs: Runs) -> str:
     )
     best = max(runs, key=lambda each: mean(runs[each], "message_fidelity"))
     return (
-        f"{said}: within a seed, Kendall's tau of lambda and message fidelity is {shown_tau(found)}, over "
-        f"{counted(found.units, 'seed')}. {decided}It is highest at lambda {best:g}, "
+        f"{said}: within a seed, Kendall's tau of lambda and message fidelity is {found}, over "
+        f"{counted(found.n, 'seed')}. {decided}It is highest at lambda {best:g}, "
         f"with {mean(runs[best], 'message_fidelity'):.2f} "
         f"against {mean(runs[0.0], 'message_fidelity'):.2f} without the term. "
-        f"Tau of lambda and success is {shown_tau(trend(runs, 'success'))}, "
-        f"of lambda and the episodes without agents touching "
-        f"{shown_tau(trend(runs, 'no_agent_collision'))}. {beside_nearest(runs)}"
+        f"Tau of lambda and success is {trend(runs, 'success')}, of lambda and the episodes without agents "
+        f"touching {trend(runs, 'no_agent_collision')}. {beside_nearest(runs)}"
     )
 
 

@@ -68,7 +68,8 @@ def table_of_curves(suites: Suites) -> str:
             more = followed(curves, metric, Form.KEEPS_MORE)
             cells += [same.within, same.smallest, same.over, more.within]
         rows.append([by_name()[metric].title, *(f"{x:.2f}" for x in cells)])
-    return markdown_table(header, rows)
+    counts = [f"{len({each.policy for each in curves})} {suite}" for suite, curves in suites.items()]
+    return f"Of {' and '.join(counts)} policies:\n\n{markdown_table(header, rows)}"
 
 
 def table_of_degenerate(found: Sequence[Degenerate]) -> str:

@@ -34,13 +34,17 @@ def script() -> dict[str, Any]:
 
 
 def scores(values: dict[str, float]) -> Scores:
-    """Two pairs of policies: each explainer's value, by default 0, rises by 0.01 from policy to policy."""
+    """Two pairs of policies: each explainer's value, by default 0, rises by some 0.01 from policy to policy.
+
+    Differences are unequal, but only in the fifth digit.
+    """
     controls = {name: values.get(name, 0.0) for name in CONTROLS}
     policies = [(task, weight) for task in ("passage", "discovery") for weight in (0.0, 0.1)]
     entries = []
     for k, (task, weight) in enumerate(policies):
         for name in EXPLAINERS:
-            levels: dict[str, Any] = dict.fromkeys(METRICS, values.get(name, 0.0) + 0.01 * k)
+            value = values.get(name, 0.0)
+            levels: dict[str, Any] = dict.fromkeys(METRICS, value + 0.01 * k + 1e-5 * value * k**2)
             entries.append(
                 made_entry(f"{task}-n3-residual-lambda{weight}-seed0", name, 0.5, task=f"blind_{task}_v0",
                            attention_entropy=weight, controls=controls, **levels)
@@ -120,7 +124,7 @@ def test_who_is_first_is_undecided_where_absence_models_are_not_shown_to_differ(
     under_mean["occlusion"] = {name: under_mean["attention"][name] + x for name, x in above.items()}
     unsure = replace(same, values={**same.values, ABSENCES[1]: under_mean})
     assert script["absence_decides"](unsure).title.endswith("may decide who is first")
-    under_mean["occlusion"] = {name: value + 0.3 for name, value in under_mean["attention"].items()}
+    under_mean["occlusion"] = {name: 1.001 * value + 0.3 for name, value in under_mean["attention"].items()}
     sure = replace(same, values={**same.values, ABSENCES[1]: under_mean})
     found = script["absence_decides"](sure)
     assert found.title.endswith("message decides who is first")
@@ -153,9 +157,9 @@ def test_scores_are_those_of_the_ranking_over_all_tasks() -> None:
                 "oracle": "enumerated",
                 "policies": [{"name": "a", "n_agents": 3}],
                 "rows": [
-                    {"explainer": "x", "rank": 1, "tie_group": 1},
-                    {"explainer": "y", "rank": 2, "tie_group": 2},
-                    {"explainer": "random", "rank": None, "tie_group": None},
+                    {"explainer": "x", "rank": 1, "ties_first": True},
+                    {"explainer": "y", "rank": 2, "ties_first": False},
+                    {"explainer": "random", "rank": None, "ties_first": None},
                 ],
             }
         ],

@@ -42,11 +42,11 @@ def answer_of(ranking: Json | None) -> list[str]:
     said = [
         f"{names} {_verb(best, 'leads', 'lead')} with a {METRIC.title} of {_value(best[0])}, over {over}."
     ]
-    if best[0]["interval"] is None:
+    if best[0]["rank_interval"] is None:
         unit = "episode" if best[0]["n_policies"] == 1 else "training"
         return [*said, f"Nothing is tested: one {unit} gives no interval."]
     if len(ranked) > len(best):
-        said.append(_lead(ranking["lead"], [row for row in ranked[len(best) :] if row["tie_group"] == 1]))
+        said.append(_lead(ranking["lead"], [row for row in ranked[len(best) :] if row["ties_first"]]))
     if not any(beats(row, RANDOM) for row in ranked):
         said = [f"No explainer is shown to be better than a `{RANDOM}` ranking. {said[0]}"]
     return said + _not_beaten(ranked)
@@ -127,7 +127,7 @@ def _lead(lead: Json | None, ties: Sequence[Json]) -> str:
     if lead is None:
         return "No other explainer differs significantly from the first."
     same = (
-        f"{names} {_verb(ties, 'does', 'do')} not differ significantly from the first; the next, "
+        f"{names} {_verb(ties, 'does', 'do')} not differ significantly from the first; the best that does, "
         if ties
         else "The next, "
     )

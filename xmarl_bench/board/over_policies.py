@@ -149,7 +149,7 @@ def _lead(
 ) -> Json | None:
     """The first explainer's lead over the best one that differs from it significantly; None without one."""
     order = sorted(range(len(names)), key=lambda r: (found[r].rank, names[r]))
-    beaten = [r for r in order if found[r].tie_group != 1]
+    beaten = [r for r in order if not found[r].ties_first]
     if not beaten:
         return None
     first, second = ([block[r] for block in blocks] for r in (order[0], beaten[0]))

@@ -18,9 +18,9 @@ from xmarl_bench.metrics.statistics import groups_by_head, holm
 from xmarl_bench.metrics.student import (
     CONFIDENCE,
     Design,
+    interval_of,
     mean_of,
     n_independent,
-    student_interval,
     student_p,
 )
 
@@ -37,8 +37,9 @@ class Place:
 
     rank: int  # from 1, by value; equal values share a rank
     rank_interval: tuple[int, int] | None  # 95 %, from the significant differences to the others, by Holm
-    interval: tuple[float, float] | None  # 95 %, of the mean
+    interval: tuple[float, float] | None  # 95 %, of the mean; also None if all of few units are equal
     tie_group: int  # from 1; members do not differ significantly from the first of the group
+    ties_first: bool  # no significant difference to the first of all, whoever stands between
 
 
 def places(
@@ -62,8 +63,8 @@ def places(
     units, design = _units(blocks, design)
     n = len(values)
     if n_independent(units, design) < 2:
-        return [Place(int(rank), None, None, 1) for rank in ranks]
-    low, high = student_interval(units, design=design)
+        return [Place(int(rank), None, None, 1, True) for rank in ranks]
+    intervals = [interval_of(row, design=design) for row in units]
     difference = np.round(units[:, None] - units[None, :], DIGITS)  # (R, R, U)
     p, better = student_p(difference, design=design), mean_of(difference, design) > 0.0
     sure = np.zeros((n, n), dtype=bool)
@@ -72,14 +73,16 @@ def places(
         sure[r, others] = holm(p[r, others]) < 1.0 - CONFIDENCE
     never_above = (sure & better) | ((difference == 0.0).all(axis=-1) & ~np.eye(n, dtype=bool))
     first, last = 1 + (sure & better.T).sum(axis=1), n - never_above.sum(axis=1)
-    groups = groups_by_head(n, lambda head, k: bool(p[order[head], order[k]] >= 1.0 - CONFIDENCE))
+    differs = p < 1.0 - CONFIDENCE
+    groups = groups_by_head(n, lambda head, k: not differs[order[head], order[k]])
     group_of = {int(r): group + 1 for r, group in zip(order, groups, strict=True)}
     return [
         Place(
             int(ranks[r]),
             (int(first[r]), int(last[r])),
-            (float(low[r]), min(float(high[r]), most)),
+            None if (each := intervals[r]) is None else (each[0], min(each[1], most)),
             group_of[r],
+            not differs[order[0], r],
         )
         for r in range(n)
     ]

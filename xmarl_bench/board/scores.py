@@ -64,9 +64,8 @@ class Scores:
 
     @property
     def tied(self) -> list[str]:
-        """Explainers without a significant difference to the best."""
-        rows = self.ranking["rows"]
-        return [row["explainer"] for row in rows if row["rank"] is not None and row["tie_group"] == 1]
+        """Explainers without a significant difference to the best, which is the first of them."""
+        return [row["explainer"] for row in self.ranking["rows"] if row["ties_first"]]
 
     def of_policies(self, metric: str, name: str) -> list[float]:
         """One value for each policy; NaN if it was not measured."""
@@ -89,7 +88,7 @@ class Scores:
         return value
 
     def difference(self, metric: str, a: str, b: str | None = None) -> Difference:
-        """Mean over cells of the mean over their policies of a less b, or of a alone."""
+        """Mean over cells of the mean over their trainings of a less b, or of a alone."""
         return self.difference_over((metric,), a, b)
 
     def difference_over(self, metrics: Sequence[str], a: str, b: str | None = None) -> Difference:

@@ -43,7 +43,7 @@ class Standing:
     """One explainer in the order of a metric, best first."""
 
     explainer: str
-    mean: Difference  # to 0: mean over cells of the mean over policies of the mean over episodes
+    mean: Difference  # to 0: mean over cells of the mean over trainings of the mean over episodes
     iqm: float  # interquartile mean of the policies' means, or of the episodes of a single policy
     profile: Profile  # share of the same values above every score
     tie_group: int  # from 1; members do not differ significantly from the first of the group

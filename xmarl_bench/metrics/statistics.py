@@ -43,8 +43,8 @@ class Difference:
     """Mean of a - b over pairs, with Student's interval over units."""
 
     value: float | None  # None if no pair is left
-    interval: tuple[float, float] | None  # None for fewer than two units
-    p: float | None  # of the paired t-test, two-sided; None for fewer than two units
+    interval: tuple[float, float] | None  # None for fewer than two units, or for few that are all equal
+    p: float | None  # of the paired t-test, two-sided; None without an interval
     units: int  # independent ones: clusters of training runs, or the episodes of a single run
     n: int  # pairs of episodes
     n_nan: int  # pairs skipped because one of the two is not a number

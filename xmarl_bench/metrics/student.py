@@ -5,7 +5,11 @@ a cluster, which counts as one training. A mean over several cells is the mean o
 trainings in a cell narrow its interval and do not change the cell's weight. Deviations are from the mean over
 all cells, so the interval of such a mean is wide for these cells, and says nothing of other tasks.
 
-Sources: Student (1908); Liang and Zeger (1986), clusters; Kish (1965), effective number.
+Units that are all equal, and not 0, do not show how units spread: rates of few episodes are often equal by
+chance. Then p is of the sign test, and there is an interval only if that test decides, from six units on.
+
+Sources: Student (1908); Liang and Zeger (1986), clusters; Kish (1965), effective number; Arbuthnot (1710),
+sign test.
 """
 
 from __future__ import annotations
@@ -68,7 +72,10 @@ class Design:
 def student_interval(
     units: Floats, confidence: float = CONFIDENCE, *, design: Design | None = None
 ) -> tuple[Floats, Floats]:
-    """(..., U) -> low and high (...) of the mean over the last axis, for two independent units or more."""
+    """(..., U) -> low and high (...) of the mean over the last axis, for two independent units or more.
+
+    Of width 0 if all units are equal, see `interval_of`.
+    """
     from scipy.special import stdtrit  # imported lazily: reading entries does not need scipy
 
     mean, error, freedom = _student(units, design)
@@ -79,8 +86,9 @@ def student_interval(
 def interval_of(
     units: Floats, confidence: float = CONFIDENCE, *, design: Design | None = None
 ) -> tuple[float, float] | None:
-    """(U,) -> `student_interval`; None for fewer than two independent units."""
-    if n_independent(units, design) < 2:
+    """(U,) -> `student_interval`; None for fewer than two independent units, or few that are all equal."""
+    n = n_independent(units, design)
+    if n < 2 or (_equal(units) and units[0] != 0.0 and _sign_test(n) >= 1.0 - confidence):
         return None
     low, high = student_interval(units, confidence, design=design)
     return float(low), float(high)
@@ -89,15 +97,15 @@ def interval_of(
 def student_p(units: Floats, *, design: Design | None = None) -> Floats:
     """(..., U) -> (...): two-sided p of a mean of 0 over the last axis, for two independent units or more.
 
-    If all units are equal, p is 1 if they are 0, and 0 otherwise.
+    If all units are equal, p is 1 if they are 0, and otherwise that of the sign test.
     """
     from scipy.special import stdtr
 
     mean, error, freedom = _student(units, design)
-    size = np.abs(mean)
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.where(error > 0.0, size / error, np.where(size > 0.0, np.inf, 0.0))
-    return np.asarray(2.0 * stdtr(freedom, -t))
+        p = 2.0 * stdtr(freedom, -np.abs(mean) / error)
+    alike = np.where(units[..., 0] == 0.0, 1.0, _sign_test(n_independent(units, design)))
+    return np.asarray(np.where(_equal(units), alike, p))
 
 
 def mean_of(units: Floats, design: Design | None) -> Floats:
@@ -125,11 +133,20 @@ def _student(units: Floats, design: Design | None) -> tuple[Floats, Floats, floa
     """
     mean = mean_of(units, design)
     if design is None:
-        return mean, standard_error(units), units.shape[-1] - 1.0
+        return mean, np.where(_equal(units), 0.0, standard_error(units)), units.shape[-1] - 1.0
     weights, members = design.weights, design.members
     sums = ((units - mean[..., None]) * weights) @ members
     shares = weights @ members
     square, cube = float(np.square(shares).sum()), float((shares**3).sum())
     error = np.sqrt(np.square(sums).sum(axis=-1) * square / (square - 2.0 * cube + square**2))
-    equal = (units == units[..., :1]).all(axis=-1)  # their deviations are rounding
-    return mean, np.where(equal, 0.0, error), 1.0 / square - 1.0
+    return mean, np.where(_equal(units), 0.0, error), 1.0 / square - 1.0
+
+
+def _equal(units: Floats) -> NDArray[np.bool_]:
+    """(..., U) -> (...): whether all units are equal; then deviations from their mean are rounding."""
+    return np.asarray((units == units[..., :1]).all(axis=-1))
+
+
+def _sign_test(n: int) -> float:
+    """Two-sided p of n independent units that are all on one side of 0."""
+    return float(2.0 ** (1 - n))

@@ -300,7 +300,7 @@ METRICS: tuple[Metric, ...] = (
         "rank correlation with the mask of a policy whose weights were shuffled; near 0 is good",
         "rank correlation of the mask with that of the policy whose parameter tensors have their entries "
         "shuffled",
-        Group.SANITY, CORRELATION, LOWER, column=3,
+        Group.SANITY, CORRELATION, column=3,
     ),
     Metric(
         "communication_dependence", "communication dependence", "change of the action without any messages",

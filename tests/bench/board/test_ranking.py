@@ -54,6 +54,14 @@ def test_places_by_hand() -> None:
     assert interval[0] < blocks[0][3].mean() < interval[1]
 
 
+def test_who_is_behind_surely_does_not_hide_a_later_tie_with_the_first() -> None:
+    """The second is 0.1 below in every episode, give or take 0.01; the third 0.2, give or take 1."""
+    noise = np.array([-1.0, 1.0] * 6)
+    found = places([1.0, 0.9, 0.8], [np.stack([0.0 * noise + 1.0, 0.9 + 0.01 * noise, 0.8 + noise])])
+    assert [place.ties_first for place in found] == [True, False, True]
+    assert [place.tie_group for place in found] == [1, 2, 2]
+
+
 def test_scores_equal_up_to_rounding_share_a_rank() -> None:
     (block,) = noisy([1.0, 0.0], n_policies=1, n_episodes=12)
     block = np.stack([block[1], block[0], block[0] * (1 + 1e-15)])

@@ -213,7 +213,9 @@ def test_of_many_explainers_the_pairs_with_the_first_are_printed(
 def test_the_picture_numbers_every_tie_group_and_cuts_nothing(n: int, length: int, entry: Entry) -> None:
     names = [f"{k:02}".ljust(length, "x") for k in range(n)]
     noise = np.array([0.0, 1e-3, -1e-3, 0.0])
-    entries = [like(entry, name, (noise * (-1) ** k - k // 2).tolist()) for k, name in enumerate(names)]
+    entries = [
+        like(entry, name, (noise * (-1) ** k * (1 + k) - k // 2).tolist()) for k, name in enumerate(names)
+    ]
     compared = compare(blocks_of(entries), "fid_delta")
     groups = {each.tie_group for each in compared.standings}
     assert len(groups) == (n + 1) // 2

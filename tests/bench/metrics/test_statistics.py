@@ -35,10 +35,24 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def test_a_constant_difference_has_an_interval_of_width_zero() -> None:
-    a = np.array([0.5, 1.5, 2.5])
-    assert over_units([a], [a - 0.25]) == Difference(0.25, (0.25, 0.25), 0.0, 3, 3, 0)
-    assert over_units([a], [a]) == Difference(0.0, (0.0, 0.0), 1.0, 3, 3, 0)
+def test_differences_that_are_all_equal_have_the_p_of_the_sign_test() -> None:
+    """And an interval if it is under 0.05: 1/16 of five, 1/32 of six."""
+    a = np.arange(6.0)
+    assert over_units([a], [a - 0.25]) == Difference(0.25, (0.25, 0.25), 1 / 32, 6, 6, 0)
+    assert over_units([a[:5]], [a[:5] - 0.25]) == Difference(0.25, None, None, 5, 5, 0)
+    assert over_units([a], [a]) == Difference(0.0, (0.0, 0.0), 1.0, 6, 6, 0)
+    assert over_units([a[:2]], [a[:2]]) == Difference(0.0, (0.0, 0.0), 1.0, 2, 2, 0)
+    np.testing.assert_array_equal(student_p(np.array([[0.1] * 3, [0.0] * 3, [-7.0] * 3])), [0.25, 1.0, 0.25])
+
+
+@pytest.mark.slow
+def test_rates_that_two_runs_share_by_chance_decide_nothing() -> None:
+    """Two runs of 50 episodes, without a difference on average; one in twelve has both rates equal."""
+    generator = rng(4)
+    chances = np.clip(generator.normal(0.8, 0.03, (20_000, 2, 2)), 0.0, 1.0)  # (pair, run, side)
+    units = np.diff(generator.binomial(50, chances), axis=-1)[..., 0] / 50
+    assert np.mean((units == units[:, :1]).all(axis=1)) > 0.05
+    assert np.mean(student_p(units) < 0.05) <= 0.05
 
 
 def test_intervals_are_of_paired_differences_not_of_episodes() -> None:
@@ -128,7 +142,7 @@ def test_a_cluster_counts_as_one_by_hand() -> None:
 def test_a_cluster_weighs_no_more_for_its_units() -> None:
     design = Design(tuple("aaab"))
     assert over_runs([[0.0], [0.0], [0.0], [1.0]], [[0.0]] * 4, design=design).value == 0.5
-    assert student_p(np.full(21, 0.1), design=Design((*"a" * 20, "b"))) == 0.0
+    assert student_p(np.full(21, 0.1), design=Design((*"a" * 20, "b"))) == 0.5
     with pytest.raises(InputError, match="design of 4 for 2 runs"):
         over_runs([[0.0], [1.0]], [[0.0]] * 2, design=design)
     with pytest.raises(InputError, match="1 cells for 4 units"):

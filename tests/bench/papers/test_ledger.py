@@ -42,6 +42,7 @@ OPPOSITE = {H: N, N: H, U: U, X: X}
         ([H, H, N], MOST, H), ([H, U, U], MOST, U), ([H, N, N], MOST, N), ([H, N], MOST, N),
         ([H, H, X, X, X], MOST, H), ([U, U, N], MOST, U),
         ([H, N, U], MIXED, H), ([H, H, H], MIXED, N), ([N, N], MIXED, N), ([H, U, U], MIXED, U),
+        ([H, X, X], MIXED, U), ([N, X], MIXED, U),
         ([X, X], EVERY, X), ([X, X], MOST, X), ([X, X], MIXED, X),
     ],
 )  # fmt: skip

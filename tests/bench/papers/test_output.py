@@ -6,16 +6,18 @@ import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.helpers.made_entries import ARCHITECTURE, made_entry
 from xmarl_bench.entry.schema import Entry
+from xmarl_bench.metrics.student import Design, interval_of
 from xmarl_bench.papers.kailas2025 import figures
 from xmarl_bench.papers.kailas2025.claims import GNN
 from xmarl_bench.papers.kailas2025.figures import INK, draw
 from xmarl_bench.papers.kailas2025.output import write_study
 from xmarl_bench.papers.kailas2025.plan import STUDIES
-from xmarl_bench.papers.kailas2025.results import StudyData, core_hours, results_of
+from xmarl_bench.papers.kailas2025.results import StudyData, core_hours, quality, results_of
 from xmarl_bench.papers.kailas2025.samples import Samples
 from xmarl_bench.papers.kailas2025.tables import Table, decisive, tables_of
 from xmarl_bench.policy import PolicyCard
@@ -151,6 +153,18 @@ def test_a_quality_table_has_the_means(data: StudyData) -> None:
     without, with_term = (float(cell.split()[0]) for cell in row[2:])
     assert without == pytest.approx(0.4, abs=0.05)
     assert with_term == pytest.approx(0.6, abs=0.05)
+
+
+def test_several_weights_of_the_term_are_one_training() -> None:
+    pairs = [pair("attention", 3, weight, seed) for weight in (0.1, 0.2) for seed in range(3)]
+    made = StudyData(STUDIES["main"], ("attention",), pairs, Samples.of(pairs))
+    found = next(each for each in quality(made) if each["metric"] == "fid_delta")
+    values = [entry.results[0].metrics.fid_delta for _, entry in pairs]
+    means = np.array([value.value for value in values if value is not None], dtype=np.float64)
+    clusters = Design(clusters=(0, 1, 2, 0, 1, 2))
+    assert found["n_policies"] == 6
+    assert found["interval"] == pytest.approx(interval_of(means, design=clusters), abs=1e-6)
+    assert found["interval"] != pytest.approx(interval_of(means), abs=1e-4)
 
 
 def test_figures_follow_the_colour_scheme(written: Path) -> None:

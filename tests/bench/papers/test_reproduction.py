@@ -12,8 +12,8 @@ from tests.conftest import RunCli
 from tests.helpers.made_samples import made_samples
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.errors import InputError
-from xmarl_bench.papers.kailas2025.claims import ATTENTION, GNN, Cell, Claim, beats
-from xmarl_bench.papers.kailas2025.ledger import Judge
+from xmarl_bench.papers.kailas2025.claims import ATTENTION, GNN, Cell, Claim, Quantifier, beats
+from xmarl_bench.papers.kailas2025.ledger import Judge, Verdict
 from xmarl_bench.papers.kailas2025.plan import STUDIES
 from xmarl_bench.papers.kailas2025.reproduction import (
     DATA,
@@ -69,13 +69,17 @@ def test_every_statement_is_on_the_page() -> None:
 CELLS = tuple(Cell("blind_navigation_v0", n) for n in (3, 4))
 
 
-def record(level: float, metric: str = "fid_delta") -> dict[str, Any]:
+def record(
+    level: float, metric: str = "fid_delta", quantifier: Quantifier = Quantifier.MOST
+) -> dict[str, Any]:
     """Attention `level` above GNNExplainer."""
     samples = made_samples(
         CELLS, (ATTENTION, GNN), lambda c, name, r, m: level * (name == ATTENTION), episodes=40
     )
     judge = Judge(samples)
-    claim = Claim("x", "7", "here", "Attention is better", CELLS, (beats(ATTENTION, GNN, metric),))
+    claim = Claim(
+        "x", "7", "here", "Attention is better", CELLS, (beats(ATTENTION, GNN, metric),), quantifier
+    )
     return judged_record(judge.judge(claim), cells=False)
 
 
@@ -93,6 +97,12 @@ def test_all_policies_together_are_judged_too(level: float, said: str) -> None:
     text = over_all(record(level))
     assert text.startswith(said)
     assert text.endswith("], 12 policies")
+
+
+def test_a_mean_over_cells_does_not_judge_mixed_results() -> None:
+    claim = record(0.3, quantifier=Quantifier.MIXED)
+    assert claim["verdict"] == Verdict.NOT_HELD
+    assert over_all(claim).startswith("FidDelta +0.3")
 
 
 @pytest.mark.parametrize(("level", "kind"), [(0.3, "held"), (-0.3, "reversed"), (0.0, "open")])

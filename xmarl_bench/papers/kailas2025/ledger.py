@@ -206,7 +206,7 @@ def quantify(verdicts: Sequence[Verdict], quantifier: Quantifier) -> Verdict:
     elif quantifier is Quantifier.MOST:
         yes, no = 2 * held > n, 2 * reverse >= n
     else:
-        yes, no = held > 0 and reverse > 0, n in (held, reverse)
+        yes, no = held > 0 and reverse > 0, n > 1 and n in (held, reverse)
     return Verdict.HELD if yes else Verdict.NOT_HELD if no else Verdict.NOT_DECIDED
 
 

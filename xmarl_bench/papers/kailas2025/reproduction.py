@@ -19,7 +19,7 @@ import typer
 from xmarl_bench.counted import counted
 from xmarl_bench.entry.protocol import PROTOCOL
 from xmarl_bench.errors import InputError
-from xmarl_bench.papers.kailas2025.claims import Combine
+from xmarl_bench.papers.kailas2025.claims import Combine, Quantifier
 from xmarl_bench.papers.kailas2025.ledger import Verdict, combine
 from xmarl_bench.papers.kailas2025.lenses import BEHAVIOUR
 from xmarl_bench.papers.kailas2025.plan import STUDIES
@@ -138,12 +138,16 @@ def headlines(findings: Json) -> str:
 
 
 def over_all(claim: Json) -> str:
-    """The verdict over all policies together, and the comparison that decides it."""
+    """The verdict over all policies together, and the comparison that decides it.
+
+    Of a statement about cells both ways the comparison alone: a mean over cells cannot show it.
+    """
     overall: list[Json] = claim["overall"]
     verdict = combine([Verdict(each["verdict"]) for each in overall], Combine.ALL)
     shown = next((each for each in overall if each["verdict"] == verdict), overall[0])
+    judged = "" if claim["quantifier"] == Quantifier.MIXED else f"{verdict}: "
     runs = counted(shown["n_policies"], "policy")
-    return f"{verdict}: {METRIC_NAMES[shown['metric']]} {difference(shown)}, {runs}"
+    return f"{judged}{METRIC_NAMES[shown['metric']]} {difference(shown)}, {runs}"
 
 
 def sentence(claim: Json) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from xmarl_bench.board.gate import gate_reason
 from xmarl_bench.entry.schema import Entry
-from xmarl_bench.metrics.student import interval_of
+from xmarl_bench.metrics.student import Design, interval_of, mean_of
 from xmarl_bench.papers.kailas2025.claims import ORIENTATION, Claim, Term
 from xmarl_bench.papers.kailas2025.ledger import Judge, Judged, JudgedContrast, Verdict
 from xmarl_bench.papers.kailas2025.lenses import LENSES
@@ -94,8 +94,11 @@ def quality(data: StudyData) -> list[Json]:
     for cell, regularised, explainer in product(data.study.cells, (False, True), data.explainers):
         runs = data.samples.runs(cell, Term(explainer), regularised)
         for metric in QUALITY:
-            blocks = [each[metric][~np.isnan(each[metric])] for each in runs.values()]
-            means = np.array([x.mean() for x in blocks if x.size])
+            blocks = {run: each[metric][~np.isnan(each[metric])] for run, each in runs.items()}
+            kept = {run: float(x.mean()) for run, x in blocks.items() if x.size}
+            # Runs of one architecture and seed share their start: several lambdas are one training.
+            design = Design(clusters=tuple((run.architecture, run.seed) for run in kept))
+            means = np.array(list(kept.values()))
             if means.size:
                 records.append(
                     {
@@ -103,8 +106,8 @@ def quality(data: StudyData) -> list[Json]:
                         "regularised": regularised,
                         "explainer": explainer,
                         "metric": metric,
-                        "mean": float(np.mean(means)),
-                        "interval": interval_of(means),
+                        "mean": float(mean_of(means, design)),
+                        "interval": interval_of(means, design=design),
                         "n_policies": means.size,
                     }
                 )

@@ -15,7 +15,7 @@ from tests.conftest import RunCli
 from tests.helpers.libraries import BLOCKS, PAGE, library
 from tests.helpers.shipped import shipped_explainers
 from xmarl_bench.checks.explainer_checks import CHECKS
-from xmarl_bench.explain.adapters import DECLARATIONS
+from xmarl_bench.explain.declarations import DECLARATIONS
 from xmarl_bench.explain.explainer import Explainer
 
 

@@ -38,9 +38,11 @@ def export(
     from xmarl_bench.parallel.workers import Workers
     from xmarl_bench.planted.families import teams
     from xmarl_bench.records.files import check_writable
+    from xmarl_bench.rollout.cell import Sampling
     from xmarl_bench.scoring.selection import select_policies
 
     check_writable(out)
+    Sampling(episodes=episodes, max_cycles=max_cycles, seed=seed)  # refuses what is out of range
     if suite == "planted":
         units = [
             partial(planted_dataset, family, size, n_steps=episodes, seed=seed) for family, size in teams()

@@ -31,6 +31,7 @@ from xmarl_bench.cli.options import (
     what_option,
     where_option,
 )
+from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.limits import UNLIMITED
 from xmarl_bench.parallel.loading import without_collector
 from xmarl_bench.scoring.cache import DEFAULT_FOLDER
@@ -117,9 +118,9 @@ def score(
     if suite == "planted":
         from xmarl_bench.cli import tables
 
+        Sampling(seed=seed)  # refuses what is out of range
         explainers, not_loaded = select_explainers(names, limits)
-        _score_planted(explainers, seed, out)
-        tables.exit_for_failures(not_loaded, len(names))
+        tables.exit_for_failures([*not_loaded, *_score_planted(explainers, seed, out)], len(names))
         return
     workers = Workers(jobs, backend, address)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
@@ -194,9 +195,17 @@ def score(
     tables.exit_for_failures([*absent, *failed], len(absent) + len(requests))
 
 
-def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> None:
+def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> list[InputError]:
+    """Scores and prints; the errors of the explainers that failed somewhere, one each."""
     from xmarl_bench.cli.fitted_table import print_table
-    from xmarl_bench.meta.planted_suite import agreement, by_family, means_of, record, score_planted
+    from xmarl_bench.meta.planted_suite import (
+        PlantedScore,
+        agreement,
+        by_family,
+        means_of,
+        record,
+        score_planted,
+    )
     from xmarl_bench.planted.families import SIZES
     from xmarl_bench.records.files import write_json
 
@@ -222,11 +231,13 @@ def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> Non
     )
     if tau is not None:
         print(f"Kendall's tau of AUROC and message fidelity over explainers: {tau:.2f}.")
-    errors: dict[str, list[str]] = {}
+    print(f"All numbers in {out / 'planted.json'}.")
+    errors: dict[str, list[PlantedScore]] = {}
     for each in found:
         if each.error is not None:
-            errors.setdefault(each.error, []).append(f"{each.family} of {each.n_agents}")
-    for error, where in errors.items():
-        n_others = len(where) - 1
-        print(f"{where[0]}{f' and {n_others} more' if n_others else ''}: {error}")
-    print(f"All numbers in {out / 'planted.json'}.")
+            errors.setdefault(each.explainer, []).append(each)
+    more = [f" and {len(those) - 1} more" if len(those) > 1 else "" for those in errors.values()]
+    return [
+        InputError(f"on {first.family} of {first.n_agents}{others}: {first.error}")
+        for (first, *_), others in zip(errors.values(), more, strict=True)
+    ]

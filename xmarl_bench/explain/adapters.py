@@ -19,14 +19,16 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, TypedDict, Unpack, get_args, overload
+from typing import Any, Final, TypedDict, Unpack, overload
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch_geometric.explain import AttentionExplainer, CaptumExplainer, ExplainerAlgorithm, PGExplainer
 
 from xmarl_bench.errors import InputError, failures_named
-from xmarl_bench.explain.explainer import Access, Explainer, Fit, Scalar, recordable
+from xmarl_bench.explain.declarations import DECLARATIONS, Access, Scalar, check_declared, recordable
+from xmarl_bench.explain.explainer import Explainer, Fit
 from xmarl_bench.explain.pyg import Copies, PygExplain, fit_pg
 from xmarl_bench.explain.simulator import SIMULATOR, Simulator
 from xmarl_bench.metrics.absence import Absence
@@ -54,8 +56,6 @@ class Declared(TypedDict, total=False):
     absence: Absence | str | None
 
 
-FLAGS = ("stochastic", "slow", "batched", "binary", "signed", "needs_fit")
-DECLARATIONS = ("name", "summary", "hyperparameters", "accesses", "absence", "node_importance", *FLAGS)
 _ABSENT: Final = object()  # as None may be what a caller's variable holds by mistake
 
 
@@ -164,7 +164,7 @@ def _made(
     name: str, explain: Callable[..., Any], owner: Any, own: Mapping[str, Any], declared: Declared
 ) -> Explainer:
     fields: dict[str, Any] = {"name": kebab(name), **own, **declared}
-    _check_declared(name, fields)
+    check_declared(name, fields)
     if fields.get("absence") is not None:
         fields["absence"] = Absence(fields["absence"])
     fit: Fit | None = None
@@ -195,7 +195,7 @@ def _of_algorithm(algorithm: ExplainerAlgorithm, declared: Declared) -> Explaine
         fields["hyperparameters"] = _scalars(algorithm.kwargs)
     summary = f"{type(algorithm).__name__} of torch_geometric, unmodified"
     fields |= {"summary": summary, "name": name, **declared}
-    _check_declared(name, fields)
+    check_declared(name, fields)
     if fields.get("accesses") in ("black-box", "attention"):
         raise InputError(
             f"explainer {name!r} declares accesses = {fields['accesses']!r}, but PyG's algorithms run the "
@@ -227,31 +227,10 @@ def _settings(thing: object) -> dict[str, Scalar]:
 
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, Scalar]:
-    """The settings that an entry can record."""
-    return {key: value for key, value in values.items() if not key.startswith("_") and recordable(value)}
+    """The settings that an entry can record; numpy's numbers as Python's."""
+    plain = {key: each.item() if isinstance(each, np.generic) else each for key, each in values.items()}
+    return {key: value for key, value in plain.items() if not key.startswith("_") and recordable(value)}
 
 
 def _first_line(thing: object) -> str:
     return (inspect.getdoc(thing) or "").partition("\n")[0]
-
-
-def _check_declared(name: str, fields: Mapping[str, Any]) -> None:
-    """Raise InputError for an unknown declaration or an invalid value."""
-    for key, value in fields.items():
-        if key not in DECLARATIONS:
-            raise InputError(f"explainer {name!r} declares {key!r}: choose among {', '.join(DECLARATIONS)}.")
-        if key == "accesses":
-            right, wanted = value in (None, *get_args(Access)), f"one of {', '.join(get_args(Access))}"
-        elif key == "absence":
-            right, wanted = value in (None, *Absence), f"one of {', '.join(Absence)}"
-        elif key == "hyperparameters":
-            right = isinstance(value, Mapping) and len(_scalars(value)) == len(value)
-            wanted = "a dict of names and finite numbers, strings, booleans or None"
-        elif key in FLAGS:
-            right, wanted = isinstance(value, bool), "True or False"
-        elif key == "node_importance":
-            right, wanted = value is None or isinstance(value, bool), "True, False or None"
-        else:
-            right, wanted = isinstance(value, str), "a string"
-        if not right:
-            raise InputError(f"explainer {name!r} declares {key} = {value!r}: give {wanted}.")

@@ -6,16 +6,16 @@ S is the number of timesteps, N agents, D observation entries.
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from xmarl_bench.errors import InputError, failures_named
+from xmarl_bench.explain.declarations import DECLARATIONS, Access, Scalar, check_declared
 from xmarl_bench.explain.effect import signed_to_unit
 from xmarl_bench.explain.node_importance import as_edge_masks
 from xmarl_bench.explain.pyg import class_settings_kept
@@ -27,13 +27,7 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.policy.black_box import BlackBox
 from xmarl_bench.policy.device import CPU, checked_device
 from xmarl_bench.policy.elsewhere import PolicyElsewhere
-from xmarl_bench.records.field_types import MOST_TEXT
-from xmarl_bench.records.strict_json import MAX_DIGITS, shown
 from xmarl_bench.reproducible import derived_seed, one_thread, seeded, timestep_seeds
-
-Scalar = bool | int | float | str | None
-TOO_LARGE: Final[int] = 10**MAX_DIGITS  # of an entry's whole numbers
-Access = Literal["black-box", "attention", "gradients"]
 
 
 class Explain(Protocol):
@@ -46,17 +40,6 @@ class Explain(Protocol):
         matters at timestep s. `policy` is a private copy; all randomness must come from `generator`. The
         last `policy.memory_dim` of the D entries are what an agent remembers at that timestep.
         """
-
-
-def recordable(value: object) -> bool:
-    """Whether an entry can record the value as a hyperparameter."""
-    if isinstance(value, bool) or value is None:
-        return True
-    if isinstance(value, int):
-        return abs(value) < TOO_LARGE
-    if isinstance(value, float):
-        return math.isfinite(value)
-    return isinstance(value, str) and len(value) <= MOST_TEXT
 
 
 class Elsewhere(Protocol):
@@ -119,12 +102,7 @@ class Explainer:
     elsewhere: Elsewhere | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        for key, value in self.hyperparameters.items():
-            if not recordable(value):
-                raise InputError(
-                    f"explainer {self.name!r} has the hyperparameter {key} = {shown(value)}, which an entry "
-                    f"cannot record: give a finite number, a string, a boolean or None."
-                )
+        check_declared(self.name, {key: getattr(self, key) for key in DECLARATIONS if hasattr(self, key)})
 
 
 def run_explainer(explainer: Explainer, policy: Policy, observations: Tensor, seed: int) -> Tensor:

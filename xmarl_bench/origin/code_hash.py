@@ -9,6 +9,7 @@ the same object. Objects that cannot be pickled have no hash.
 from __future__ import annotations
 
 import dis
+import functools
 import hashlib
 import sys
 from collections.abc import Iterable, Iterator
@@ -29,6 +30,7 @@ from torch import Tensor
 from xmarl_bench.origin.installed import HARNESS, distribution_of, is_own, package_version
 
 LOOKS_UP = ("LOAD_GLOBAL", "LOAD_NAME")
+_CACHED = type(functools.cache(len))
 NO_CONTENT = ("__dict__", "__weakref__", "__slotnames__", "_abc_impl")  # attributes of every class
 
 
@@ -105,7 +107,7 @@ class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
             return _as(obj.__qualname__, _content_of_function(obj))
         if isinstance(obj, type) and (own or not _has_its_name(obj)):
             return _as(obj.__qualname__, _content_of_class(obj))
-        if own and callable(obj) and hasattr(obj, "__wrapped__"):  # functools.cache
+        if own and isinstance(obj, _CACHED):
             return _as("wrapped", obj.__wrapped__)
         return super().reducer_override(obj)
 

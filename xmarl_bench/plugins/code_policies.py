@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from safetensors.torch import save
 from torch import nn
 
-from xmarl_bench.errors import InputError, failures_named
+from xmarl_bench.errors import InputError, failures_named, whole_number
 from xmarl_bench.origin.plugins import origin_of_plugin
 from xmarl_bench.origin.references import Origin, load_reference
 from xmarl_bench.plugins.names import places_of_plugin
@@ -50,21 +50,19 @@ def open_module(module: PolicyModule, origin: Origin) -> tuple[ModulePolicy, Pol
             f"the network of policy {module.name!r} is a {type(module.network).__name__}: "
             f"give a torch module."
         )
-    if not (isinstance(module.task, str) or callable(module.task)) or not isinstance(module.n_agents, int):
-        raise InputError(
-            f"policy {module.name!r} has task {module.task!r} and n_agents {module.n_agents!r}: "
-            f"give a name and a whole number."
-        )
+    if not (isinstance(module.task, str) or callable(module.task)):
+        raise InputError(f"policy {module.name!r} has task {module.task!r}: give a name or a function.")
+    n_agents = whole_number(f"n_agents of policy {module.name!r}", module.n_agents)
     check_tensors(module.network, module.name)
     # Whoever runs the policy's code runs that of its task.
     source = open_task(module.task, trust_code=True)
-    task = source.make(module.n_agents).with_actions(module.distribution != "categorical")
+    task = source.make(n_agents).with_actions(module.distribution != "categorical")
     obs_dim, action_dim = task.obs_dim, task.action_width
     try:
         card = PolicyCard(
             name=module.name,
             task=source.name,
-            n_agents=module.n_agents,
+            n_agents=n_agents,
             attention_entropy=module.attention_entropy,
             training_seed=module.training_seed,
             architecture=CodeArchitecture(
@@ -88,7 +86,7 @@ def open_module(module: PolicyModule, origin: Origin) -> tuple[ModulePolicy, Pol
         action_dim,
         distribution=module.distribution,
         graph=module.graph,
-        n_agents=module.n_agents,
+        n_agents=n_agents,
     )
     check_interventions(policy, random_teams(2, module.n_agents, obs_dim))
     return policy, card

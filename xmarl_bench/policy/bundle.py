@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import PydanticSerializationError
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
@@ -58,9 +59,27 @@ def packed(policy: nn.Module, **card: Any) -> tuple[PolicyCard, bytes]:
         return PolicyCard(architecture=architecture, weights_sha256=digest, **card), weights
 
 
+def with_own_weights(policy: nn.Module, card: PolicyCard) -> PolicyCard:
+    """The card with the hash of the policy's weights, which may have changed since they were loaded."""
+    from safetensors.torch import save
+
+    from xmarl_bench.policy.build import weights_of
+
+    digest = hashlib.sha256(save(weights_of(policy))).hexdigest()
+    return card.model_copy(update={"weights_sha256": digest})
+
+
 def write_bundle(folder: Path, card: PolicyCard, weights: bytes) -> None:
+    """Write both files. Raises InputError, before it writes, if the card cannot be written as JSON."""
+    try:
+        text = card.model_dump_json(indent=2)
+    except PydanticSerializationError as error:
+        raise InputError(
+            f"the card of policy {card.name!r} cannot be written as JSON ({error}): give it plain numbers, "
+            f"texts, lists and dicts."
+        ) from None
     write_atomically(folder / WEIGHTS, weights)
-    write_atomically(folder / CARD, (card.model_dump_json(indent=2) + "\n").encode())
+    write_atomically(folder / CARD, f"{text}\n".encode())
 
 
 def load_policy(

@@ -10,6 +10,8 @@ from xmarl_bench.scoring.arguments import ALL
 from xmarl_bench.scoring.selection import select_policies
 from xmarl_bench.tasks.sources import open_task, task_names
 
+MOST_NAMED = 3
+
 
 def select_team(
     policy: str, task: str | None, agents: int | None, *, trust_code: bool = False
@@ -30,5 +32,9 @@ def select_team(
             Cell(open_task(task, trust_code=trust_code).name, 3 if agents is None else agents),
         )
     sizes = [ALL if agents is None else str(agents)]
-    ((network, card, (cell,)),) = select_policies([policy], [task or ALL], sizes, trust_code=trust_code)
-    return network, card.name, cell
+    found = select_policies([policy], [task or ALL], sizes, trust_code=trust_code)
+    chosen = [(network, card.name, cell) for network, card, cells in found for cell in cells]
+    if len(chosen) != 1:
+        names = ", ".join(name for _, name, _ in chosen[:MOST_NAMED])
+        raise InputError(f"{policy!r} is {len(chosen)} policies ({names}, ...): choose one of them by name.")
+    return chosen[0]

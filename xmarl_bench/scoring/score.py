@@ -25,7 +25,8 @@ from xmarl_bench.parallel.fan_out import ordered
 from xmarl_bench.parallel.workers import ONE_PROCESS, Workers
 from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.plugins.registry import ask_explainer, ask_policy, checked_name, isolated
-from xmarl_bench.policy import Policy, PolicyCard
+from xmarl_bench.policy import CodeArchitecture, Policy, PolicyCard
+from xmarl_bench.policy.bundle import with_own_weights
 from xmarl_bench.policy.device import CPU
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.reproducible import torch_defaults
@@ -40,6 +41,7 @@ from xmarl_bench.scoring.request import Request
 from xmarl_bench.scoring.results import Results
 from xmarl_bench.scoring.run_record import RunRecord
 from xmarl_bench.scoring.sweep import Sweep
+from xmarl_bench.tasks.sources import register
 
 
 @dataclass(frozen=True)
@@ -101,25 +103,27 @@ def score(
     InputError if an argument is invalid or the explainer fails.
     """
     isolation = Isolation(replace(UNLIMITED, answer_seconds=answer_seconds)) if isolate else None
-    given = None if task is None else ask_task(task, isolation, trust_code=trust_code)
-    network, card = _opened(policy, isolation, trust_code=trust_code)
-    if isinstance(explainer, str):
-        chosen = on_device(ask_explainer(explainer, isolation), device)
-    else:  # its device is set before it is sent to its process
-        chosen = isolated(on_device(checked_name(as_explainer(explainer)), device), isolation)
-    played = given or ask_task(card.task, isolation, trust_code=trust_code)
-    cell = Cell(played.name, card.n_agents if n_agents is None else n_agents)
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)
-    request = Request(network, card, chosen, (cell,), sampling, behaviour_episodes)
-    outcomes = score_requests(
-        [request],
-        workers=Workers(jobs),
-        parallel_episodes=parallel_episodes,
-        progress=progress,
-        submitter=submitter,
-        cache=None if cache is None or not isolate else Cache(Path(cache)),
-    )
     try:
+        given = None if task is None else ask_task(task, isolation, trust_code=trust_code)
+        network, card = _opened(policy, isolation, trust_code=trust_code)
+        if given is not None:
+            register(given)  # the policy may have brought a task of the same name
+        if isinstance(explainer, str):
+            chosen = on_device(ask_explainer(explainer, isolation), device)
+        else:  # its device is set before it is sent to its process
+            chosen = isolated(on_device(checked_name(as_explainer(explainer)), device), isolation)
+        played = given or ask_task(card.task, isolation, trust_code=trust_code)
+        cell = Cell(played.name, card.n_agents if n_agents is None else n_agents)
+        request = Request(network, card, chosen, (cell,), sampling, behaviour_episodes)
+        outcomes = score_requests(
+            [request],
+            workers=Workers(jobs),
+            parallel_episodes=parallel_episodes,
+            progress=progress,
+            submitter=submitter,
+            cache=None if cache is None or not isolate else Cache(Path(cache)),
+        )
         return next(entries_of(outcomes))
     finally:
         end_strangers()
@@ -133,14 +137,19 @@ def _opened(
 ) -> tuple[Policy, PolicyCard]:
     if isinstance(policy, str | Path):
         return ask_policy(str(policy), isolation, trust_code=trust_code)
-    if not isinstance(policy, PolicyModule | tuple):
+    loaded = isinstance(policy, tuple) and len(policy) == 2 and isinstance(policy[1], PolicyCard)
+    if not (loaded or isinstance(policy, PolicyModule)):
         raise InputError(
             f"a {type(policy).__name__} is not a policy to score: give a name, the folder of a bundle, the "
             f"result of load_policy, or a network as PolicyModule."
         )
     if isolation is not None and (isinstance(policy, PolicyModule) or is_code_here(*policy)):
         return isolate_policy(policy, isolation)
-    return open_module(policy, origin_of(policy.network)) if isinstance(policy, PolicyModule) else policy
+    if isinstance(policy, PolicyModule):
+        return open_module(policy, origin_of(policy.network))
+    network, card = policy
+    code = isinstance(card.architecture, CodeArchitecture)
+    return network, card if code else with_own_weights(network, card)
 
 
 def score_requests(

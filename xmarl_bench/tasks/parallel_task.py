@@ -149,10 +149,11 @@ class ParallelEpisodes:
                 over = [bool(truncations[agent]) for agent in agents]
             self._cycles[k] += 1
             self._check_together(env, ended, over, self._cycles[k])
-            self._observation[k] = self.task.of_team(observations, agents)
-            success[k] = _told(infos, agents, SUCCESS_KEYS)
-            agent_collision[k] = _told(infos, agents, (AGENT_COLLISION,))
-            object_collision[k] = _told(infos, agents, (OBJECT_COLLISION,))
+            with foreign_code(self.task.name, "what step returns"):
+                self._observation[k] = self.task.of_team(observations, agents)
+                success[k] = _told(infos, agents, SUCCESS_KEYS)
+                agent_collision[k] = _told(infos, agents, (AGENT_COLLISION,))
+                object_collision[k] = _told(infos, agents, (OBJECT_COLLISION,))
             terminated[k] = all(ended)
             truncated[k] = not terminated[k] and (any(over) or self._cycles[k] >= self.max_cycles)
         return Step(self._observation.copy(), reward, terminated, truncated, *told)

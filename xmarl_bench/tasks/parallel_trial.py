@@ -7,6 +7,7 @@ with another episode, and must give the same bits. This finds clocks and global 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import zip_longest
 from typing import Any, Final
 
 import numpy as np
@@ -103,8 +104,8 @@ def _action_space(name: str, space: spaces.Space[Any]) -> spaces.Box | spaces.Di
 def _max_cycles(name: str, env: Parallel) -> int:
     for layer in (env, env.unwrapped):
         cycles = getattr(layer, "max_cycles", None)
-        if isinstance(cycles, int) and cycles >= 1:
-            return cycles
+        if isinstance(cycles, int | np.integer) and cycles >= 1:
+            return int(cycles)
     raise InputError(
         f"task {name!r} does not say how many steps an episode has: set `max_cycles` of its environment, "
         f"e.g. env.max_cycles = 100."
@@ -114,8 +115,10 @@ def _max_cycles(name: str, env: Parallel) -> int:
 def _check_repeats(task: ParallelTask) -> None:
     """Raise InputError if an episode differs when it is played again beside another one."""
     alone, beside = _played(task, (SEED,)), _played(task, (SEED, OTHER_SEED))
-    for step, (first, again) in enumerate(zip(alone, beside, strict=True)):
-        if not np.array_equal(first, again, equal_nan=True):  # a reward may be NaN: `check task` names it
+    for step, (first, again) in enumerate(zip_longest(alone, beside)):
+        ended = first is None or again is None
+        # A reward may be NaN: `check task` names it.
+        if ended or not np.array_equal(first, again, equal_nan=True):
             when = "at the start" if step == 0 else f"after {step} steps"
             raise InputError(
                 f"task {task.name!r} does not repeat: two episodes with seed {SEED} and the same actions "

@@ -79,6 +79,15 @@ def test_two_datasets_of_one_name_are_refused(tmp_path: Path, run_cli: RunCli) -
     assert not (tmp_path / "d").exists()
 
 
+@pytest.mark.parametrize(
+    "wrong", [("--max-cycles", 0), ("--suite", "planted", "--seed", -1), ("--episodes", 0)]
+)
+def test_numbers_out_of_range_are_refused(wrong: tuple[object, ...], tmp_path: Path, run_cli: RunCli) -> None:
+    ran = run_cli("export", *wrong, "--out", tmp_path / "d")
+    assert (ran.code, ran.err.count("\n")) == (2, 1)
+    assert not (tmp_path / "d").exists()
+
+
 @pytest.mark.slow
 def test_the_card_lists_every_array_with_its_shape(tmp_path: Path, run_cli: RunCli) -> None:
     exported(save_bundle(tmp_path), tmp_path / "d", run_cli)

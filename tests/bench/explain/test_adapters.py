@@ -116,6 +116,7 @@ def test_the_decorator_records_declarations() -> None:
         ({"absence": "gone"}, "absence = 'gone': give one of zero, mean, resample, renormalised"),
         ({"hyperparameters": {"layers": [1, 2]}}, "give a dict of names and finite numbers"),
         ({"hyperparameters": {"level": math.inf}}, "give a dict of names and finite numbers"),
+        ({"hyperparameters": {"x" * 10_001: 1}}, "give a dict of names and finite numbers"),
         ({"name": 3}, "name = 3: give a string"),
         ({"needs_fit": True}, "give it a method fit"),
     ],
@@ -123,6 +124,9 @@ def test_the_decorator_records_declarations() -> None:
 def test_invalid_declarations_are_refused(declared: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         as_explainer(attended, **declared)
+    if declared.keys() <= {"stochastic", "accesses", "absence", "hyperparameters"}:
+        with pytest.raises(InputError, match=said):
+            Explainer("own", attended, **declared)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="run the network itself"):
         as_explainer(GNNExplainer(), accesses="black-box")
     with pytest.raises(InputError, match="exists already"):
@@ -144,7 +148,7 @@ class Tempered:
 def test_what_an_entry_cannot_record_is_no_hyperparameter(value: Any) -> None:
     """Found before anything is scored: the entry is made last."""
     assert as_explainer(Tempered(value)).hyperparameters == {}
-    with pytest.raises(InputError, match=r"hyperparameter level = .* cannot record: give a finite number"):
+    with pytest.raises(InputError, match=r"declares hyperparameters = .*: give a dict of names and finite"):
         Explainer("mine", lambda *given: POLICY.attention(given[1]), hyperparameters={"level": value})
 
 

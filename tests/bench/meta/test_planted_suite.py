@@ -73,6 +73,6 @@ def test_one_that_needs_a_world_is_left_out_in_one_sentence(run_cli: RunCli, tmp
     )
     own = f"{tmp_path / 'own.py'}:imagined"
     ran = run_cli("score", "--suite", "planted", "--explainer", own, "--out", tmp_path / "out")
-    assert ran.code == 0, ran.err
-    assert ran.out.count("explainer 'imagined' plays on in the world of an episode") == 1
-    assert "one-sender of 4 and 17 more: explainer 'imagined'" in ran.out
+    assert ran.code == 2  # there is no other
+    assert ran.err.count("explainer 'imagined' plays on in the world of an episode") == 1
+    assert "one-sender of 4 and 17 more: explainer 'imagined'" in ran.err

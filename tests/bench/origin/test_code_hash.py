@@ -71,10 +71,11 @@ def differ_by_themselves(make: Callable[[float], object]) -> None:
     [
         closure,
         lambda scale: functools.partial(by_default, scale=scale),
+        lambda scale: functools.update_wrapper(functools.partial(by_default, scale=scale), by_default),
         lambda scale: eval(f"lambda observations, policy, scale={scale}: scale"),
         WithTensor,
     ],
-    ids=["closure", "partial", "lambda", "tensor"],
+    ids=["closure", "partial", "named partial", "lambda", "tensor"],
 )
 def test_values_in_an_explainer_change_the_hash(make: Callable[[float], object]) -> None:
     differ_by_themselves(lambda value: as_explainer(make(value), name="own"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -28,6 +29,15 @@ def test_saving_and_loading_keeps_every_bit(tmp_path: Path) -> None:
         assert torch.equal(loaded.distribution(observations).loc, policy.distribution(observations).loc)
     again = save_policy(tmp_path / "y", loaded, **card.model_dump(exclude={"architecture", "weights_sha256"}))
     assert again.weights_sha256 == card.weights_sha256
+
+
+def test_a_card_that_is_no_json_leaves_the_bundle_that_is_there(make_bundle: MakeBundle) -> None:
+    bundle = make_bundle()
+    _, card = load_policy(bundle)
+    fields = card.model_dump(exclude={"architecture", "weights_sha256", "training"})
+    with pytest.raises(InputError, match=r"cannot be written as JSON .*: give it plain numbers"):
+        save_policy(bundle, small_policy(6, 4), **fields, training={"lr": np.float32(3e-4)})
+    assert load_policy(bundle)[1] == card
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def test_a_module_from_a_notebook_is_scored_directly() -> None:
         ("misnamed", "no valid name"),
         ("leaves", r"could not be made \(SystemExit: 4\)"),
         ("no_network", "the network of policy 'none' is a str"),
-        ("no_task", r"has task \['blind_navigation_v0'\] and n_agents 3: give a name"),
+        ("no_task", r"has task \['blind_navigation_v0'\]: give a name or a function"),
         ("RAN", "is a list"),
         ("gone", "has no 'gone'"),
     ],

@@ -13,6 +13,7 @@ from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.explain.explainer import run_explainer
 from xmarl_bench.policy import load_policy
 from xmarl_bench.render.recording import record
+from xmarl_bench.render.team import select_team
 from xmarl_bench.reproducible import derived_seed, episode_seeds
 from xmarl_bench.rollout.episodes import roll_out
 
@@ -78,3 +79,9 @@ def test_invalid_input_is_refused(options: dict[str, int], said: str) -> None:
         record(make_task("blind_navigation_v0", 3), "random", None, **options)
     with pytest.raises(InputError, match="team 'nobody' has no policy"):
         record(make_task("blind_navigation_v0", 3), "nobody")
+
+
+def test_several_policies_are_no_team() -> None:
+    said = r"'default' is 2 policies \(navigation-n3-.*\): choose one of them by name"
+    with pytest.raises(InputError, match=said):
+        select_team("default", "blind_navigation_v0", 3)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from xmarl_envs import TASKS
 
 from tests.conftest import MakeBundle
@@ -19,7 +20,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.plugins.registry import find_explainer
-from xmarl_bench.policy import load_policy
+from xmarl_bench.policy import Policy, load_policy
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.reproducible import PUBLIC_SEEDS, derived_seed, episode_seeds
 from xmarl_bench.rollout.cell import Cell, Sampling
@@ -250,9 +251,30 @@ def test_whole_numbers_of_numpy_are_numbers(make_bundle: MakeBundle) -> None:
 
 def test_other_objects_than_policies_are_refused(make_bundle: MakeBundle) -> None:
     network, _ = load_policy(make_bundle())
-    for policy in (network, None):
+    for policy in (network, None, ("a", "b"), (network,)):
         with pytest.raises(InputError, match="is not a policy to score: give"):
             score(policy, "attention")  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_weights_that_changed_after_loading_are_other_weights(
+    tmp_path: Path, make_bundle: MakeBundle
+) -> None:
+    loaded, card = load_policy(make_bundle())
+    changed, _ = load_policy(make_bundle())
+    with torch.no_grad():
+        next(changed.parameters()).zero_()
+
+    def scored(network: Policy, cache: Path | None) -> Entry:
+        few = {"episodes": 1, "timesteps": 3, "max_cycles": 8, "behaviour_episodes": 0}
+        return score((network, card), "attention", cache=cache, **few)  # type: ignore[arg-type]
+
+    as_loaded = scored(loaded, tmp_path)
+    assert as_loaded.policy.weights_sha256 == card.weights_sha256
+    entry = scored(changed, tmp_path)
+    assert entry.policy.weights_sha256 != card.weights_sha256
+    assert bytes_of(entry) == bytes_of(scored(changed, None))
+    assert entry.results[0].metrics != as_loaded.results[0].metrics
 
 
 def test_slow_explainers_get_few_states_and_others_also_all(make_bundle: MakeBundle) -> None:

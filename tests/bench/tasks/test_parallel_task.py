@@ -116,6 +116,11 @@ def test_an_environment_that_is_refused_is_closed(bad: Callable[[int], worlds.Li
     assert [env.closed for env in made] == [True]
 
 
+def test_max_cycles_may_be_a_number_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worlds.Line, "max_cycles", np.int64(6))
+    assert parallel_task("mine", worlds.Line, 3).default_max_cycles == 6
+
+
 @pytest.mark.parametrize("make", [worlds.spread, worlds.spread_continuous, worlds.pursuit])
 def test_environments_of_others_are_taken(make: Callable[[int], Any]) -> None:
     task = parallel_task("theirs", make, 4)

@@ -134,6 +134,30 @@ class GlobalNumbers(Line):
         return super().step(actions)
 
 
+class EndsByTheClock(Line):
+    """Every second environment ends a step later, after the same observations."""
+
+    made = 0
+
+    def __init__(self, n_agents: int) -> None:
+        super().__init__(n_agents)
+        type(self).made += 1
+        self.ends = 2 + self.made % 2
+
+    def step(self, actions: Any) -> Any:
+        seen, rewards, terminated, truncated, infos = super().step(actions)
+        if self.cycle == self.ends:
+            truncated, self.agents = dict.fromkeys(truncated, True), []
+        return seen, rewards, terminated, truncated, infos
+
+
+class TellsArrays(Line):
+    """An info holds an array where a truth value is asked for."""
+
+    def infos(self) -> dict[str, dict[str, Any]]:
+        return {agent: {"is_success": np.array([True, False])} for agent in self.agents}
+
+
 class NoSeed(Line):
     """Its `reset` takes no seed."""
 
@@ -245,6 +269,8 @@ BAD: dict[str, tuple[Callable[[int], Any], str]] = {
     "leaves": (Leaves, "agent_0 left at step 3, before the others"),
     "unseeded": (Unseeded, "does not repeat: .* differ at the start"),
     "global numbers": (GlobalNumbers, "does not repeat: .* differ after 1 steps"),
+    "ends by the clock": (EndsByTheClock, "does not repeat: .* differ after 3 steps"),
+    "tells arrays": (TellsArrays, r"failed in what step returns \(ValueError"),
     "no seed": (NoSeed, r"failed in reset\(seed=\d+\) \(TypeError"),
     "unequal": (Unequal, "has unequal agents .*observations of agent_0"),
     "pictures": (Pictures, "policies take vectors"),

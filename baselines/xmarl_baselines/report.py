@@ -106,8 +106,10 @@ def measured_rows(cards: list[PolicyCard]) -> list[Row]:
 def policy_rows(cards: list[PolicyCard]) -> list[Row]:
     rows = measured_rows(cards)
     for row, card in zip(rows, cards, strict=True):
-        row["frames (M)"] = f"{card.training['frames'] / 1e6:.1f}"
-        seconds = card.training.get("cpu_seconds")
+        along = is_checkpoint(card)  # the time of its run is not its own
+        frames = card.training["validation"]["frames"] if along else card.training["frames"]
+        row["frames (M)"] = f"{frames / 1e6:.1f}"
+        seconds = None if along else card.training.get("cpu_seconds")
         row["CPU minutes"] = "-" if seconds is None else f"{seconds / 60:.0f}"
         row["weights (sha256)"] = card.weights_sha256[:12]
     return rows
@@ -133,6 +135,7 @@ def lambda_rows() -> list[Row]:
     for record in sorted(records, key=lambda r: (r["task"], -r["lambda"], r["name"])):
         start, end = record["along"][0], record["listening"]
         heard, unheard = (record["performance"][f"with{how}_messages"] for how in ("", "out"))
+        entropy = record["performance"]["attention_entropy"]
         both = {
             title: f"{shown(MEASURES[title], heard[MEASURES[title]])}"
             f" / {shown(MEASURES[title], unheard[MEASURES[title]])}"
@@ -144,7 +147,7 @@ def lambda_rows() -> list[Row]:
                 "lambda": record["lambda"],
                 "advantages": "normalised" if record["normalize_advantage"] else "raw",
                 "frames (M)": f"{record['frames'] / 1e6:.2f} of {record['frames_of_the_schedule'] / 1e6:.1f}",
-                "attention entropy": f"{start['attention_entropy']:.2f} -> {end['attention_entropy']:.3f}",
+                "attention entropy": f"{start['attention_entropy']:.2f} -> {entropy:.3f}",
                 "own edge": f"{start['own_share']:.2f} -> {end['own_share']:.2f}",
                 "most heard": f"{end['most_heard']:.2f}",
                 **both,

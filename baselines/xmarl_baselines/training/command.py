@@ -120,6 +120,8 @@ def command(
             recipe = replace(recipe, frames=frames)
         if attention_start is not None:
             recipe = replace(recipe, attention_start=attention_start)
+        if caution != 1.0 and recipe.shaping.with_caution(caution) == recipe.shaping:
+            raise InputError(f"{task} is trained without penalties for touching agents: leave --caution out.")
         start = None if start_from is None else start_from.resolve().name
         run = Run(recipe, agents, attention_entropy, seed, caution, start)
     place, folder = checked_device(device), out / run.name
@@ -204,14 +206,14 @@ def train_and_save(
             "cpu_seconds": round(trained.seconds, 1),
             "validation": trained.validation,
             "curve": trained.curve,
-            "command": _command(run),
+            "command": command_of(run),
             **({} if device == CPU else {"device": device}),
         },
         performance=evaluate_policy(trained.policy, run.recipe.task, run.n_agents, episodes=episodes),
     )
 
 
-def _command(run: Run) -> str:
+def command_of(run: Run) -> str:
     """The command that trains this policy again."""
     if planned_runs().get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"

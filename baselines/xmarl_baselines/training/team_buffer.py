@@ -75,4 +75,4 @@ class TeamRolloutBuffer(RolloutBuffer):
             for array in (self.observations, self.actions, self.log_probs, advantages, self.returns)
         ]
         for index in torch.randperm(self.buffer_size * self.n_envs).split(batch_size):
-            yield TeamSamples(*(array[index] for array in flat))
+            yield TeamSamples(*(array[index].to(self.device) for array in flat))

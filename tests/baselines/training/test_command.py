@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.reference import DOSE_SEEDS, DOSES, SEEDS, SIZES, dose_runs, reference_runs, run_named
-from xmarl_baselines.training.command import _command, main, train_and_save, train_missing
+from xmarl_baselines.training.command import command_of, main, train_and_save, train_missing
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.model_selection import weights_at
 from xmarl_baselines.training.recipes import RECIPES, recipe_for
@@ -76,6 +76,7 @@ def test_a_run_ends_with_a_policy_that_loads(
         (("--reproduce", RUN, "--caution", "2"), "leave out --caution"),
         (("--reproduce", RUN, "--jobs", "2"), "leave out --jobs"),
         (("--task", "blind_discovery_v0", "--backend", "ray"), "leave out --backend"),
+        (("--task", "blind_discovery_v0", "--caution", "2"), "leave --caution out"),
     ],
 )
 def test_bad_input_is_refused(
@@ -158,18 +159,18 @@ def test_a_dose_is_every_weight_with_every_seed_and_nothing_else_differs() -> No
 
 def test_the_command_names_what_differs_from_the_recipe() -> None:
     passage = recipe_for("blind_passage_v0")
-    assert _command(Run(passage, 3)) == "xmarl-train --reproduce passage-n3-residual-lambda0-seed0"
-    assert _command(Run(passage, 5, 0.02, seed=2, caution=2.0)) == (
+    assert command_of(Run(passage, 3)) == "xmarl-train --reproduce passage-n3-residual-lambda0-seed0"
+    assert command_of(Run(passage, 5, 0.02, seed=2, caution=2.0)) == (
         "xmarl-train --task blind_passage_v0 --family residual --agents 5 --attention-entropy 0.02 --seed 2 "
         f"--frames {passage.frames} --caution 2"
     )
     later = replace(passage, attention_start=0.5, family="paper")
-    assert "--family paper" in _command(Run(later, 5, 0.02, seed=2))
-    assert "--attention-start 0.5" in _command(Run(later, 5, 0.02, seed=2))
+    assert "--family paper" in command_of(Run(later, 5, 0.02, seed=2))
+    assert "--attention-start 0.5" in command_of(Run(later, 5, 0.02, seed=2))
     finer = passage.fine_tuning()
-    assert "--attention-start" not in _command(Run(finer, 3, 0.1, start_from="first"))
+    assert "--attention-start" not in command_of(Run(finer, 3, 0.1, start_from="first"))
     later = replace(finer, attention_start=0.25)
-    command = _command(Run(later, 3, 0.1, start_from="first"))
+    command = command_of(Run(later, 3, 0.1, start_from="first"))
     assert command.endswith("--attention-start 0.25 --start-from runs/first")
 
 

@@ -19,7 +19,7 @@ from xmarl_bench.policy.card import load_card
 
 @pytest.mark.usefixtures("short_episodes")
 def test_checkpoints_of_both_families_and_both_lambdas(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A run of ten iterations that validates after each, at 10, 20, ... 100 percent."""
     short: dict[str, Any] = {"frames": 400, "n_envs": 2, "n_steps": 20, "batch_size": 40, "n_epochs": 1}
@@ -52,3 +52,9 @@ def test_checkpoints_of_both_families_and_both_lambdas(
         assert not torch.equal(
             policy.state_dict()["decoder.0.weight"], before.state_dict()["decoder.0.weight"]
         )
+    longer = Run(small(**short | {"frames": 800}), seed=1)  # of the same name as a run that is there
+    monkeypatch.setattr(ship, "HERE", tmp_path / "other")
+    monkeypatch.setattr(ship, "reference_runs", lambda: {longer.name: longer})
+    ship.main(tmp_path / "runs")
+    assert "not shipped: " in capsys.readouterr().out
+    assert not (tmp_path / "other").exists()

@@ -67,6 +67,12 @@ def test_advantages_are_gae_for_each_agent() -> None:
         following, value = 1.0 - buffer.episode_starts[t, team], buffer.values[t, team, agent]
 
 
+def test_minibatches_are_on_the_device_of_the_policy() -> None:
+    buffer = build(Run(small()), seed=0).rollout_buffer
+    buffer.device = torch.device("meta")  # as any that is not the CPU
+    assert {each.device.type for each in next(buffer.minibatches(4, normalize_advantage=True))} == {"meta"}
+
+
 def test_an_action_that_became_far_likelier_leaves_weights_finite() -> None:
     """Its ratio would be infinite, which a negative advantage does not clip."""
     model = build(Run(small()), seed=0)

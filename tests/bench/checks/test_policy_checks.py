@@ -64,7 +64,7 @@ class Pilot(nn.Module):
 
 @pytest.mark.slow
 def test_a_valid_policy_passes_every_check() -> None:
-    found = list(check_policy(ModulePolicy(Pilot(), 6), CELL, timesteps=4, episodes=2))
+    found = list(check_policy(ModulePolicy(Pilot(), 6), CELL, timesteps=4, episodes=6))
     assert [each.check for each in found] == list(CHECKS)
     assert [each.message for each in found if not each.passed] == []
 
@@ -118,7 +118,7 @@ def test_the_command_reports_each_check(
     monkeypatch.setattr(BlindNavigation, "default_max_cycles", 40)
     policy: Any = random_policy(record(GAT2, graph={"kind": "radius", "radius": 1.0}))
     save_policy(tmp_path / "deep", policy, name="deep", **CARD)
-    ran = run_cli("check", "policy", tmp_path / "deep", "--timesteps", 4, "--episodes", 2, "--json")
+    ran = run_cli("check", "policy", tmp_path / "deep", "--timesteps", 4, "--episodes", 6, "--json")
     assert ran.code == 1, ran.err
     found = {each["check"]: each["passed"] for each in json.loads(ran.out)["findings"]}
     assert {check for check, passed in found.items() if passed is False} == {PLAYED}

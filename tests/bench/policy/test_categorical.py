@@ -176,7 +176,7 @@ def test_saving_and_loading_keeps_the_bundle(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_valid_policy_passes_every_check() -> None:
-    found = list(check_policy(pilot_policy(), CELL, timesteps=4, episodes=2))
+    found = list(check_policy(pilot_policy(), CELL, timesteps=4, episodes=6))
     assert [each.check for each in found] == list(CHECKS)
     assert [each.message for each in found if not each.passed] == []
     assert any("probabilities of actions 0." in each.message for each in found)
@@ -192,10 +192,10 @@ def test_every_command_accepts_a_categorical_policy(
     assert ran.code == 0, ran.err
     ((_, entry),) = read_entries(tmp_path / "results" / "entries")
     assert entry.policy.architecture.distribution == "categorical"
-    ran = run_cli("evaluate", *code, "--episodes", 2, "--json")
+    ran = run_cli("evaluate", *code, "--episodes", 6, "--json")
     assert ran.code == 0, ran.err
     save_policy(tmp_path / "small", small_policy(6, 1, categorical=True), name="small", **CARD)
-    ran = run_cli("check", "policy", tmp_path / "small", "--timesteps", 4, "--episodes", 2, "--json")
+    ran = run_cli("check", "policy", tmp_path / "small", "--timesteps", 4, "--episodes", 6, "--json")
     findings = {each["check"]: each["passed"] for each in json.loads(ran.out)["findings"]}
     assert {check for check, passed in findings.items() if passed is False} <= {"success above random"}
     picture = tmp_path / "team.png"

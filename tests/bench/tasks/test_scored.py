@@ -185,6 +185,6 @@ def test_an_episode_is_drawn_with_the_explanation(bundle: Path, run_cli: RunCli,
 
 @pytest.mark.slow
 def test_a_policy_is_checked_on_it(bundle: Path, run_cli: RunCli) -> None:
-    ran = run_cli("check", "policy", bundle, "--episodes", 2, "--task", f"{HERE}:spread", "--trust-code")
+    ran = run_cli("check", "policy", bundle, "--episodes", 6, "--task", f"{HERE}:spread", "--trust-code")
     assert "reward" in ran.out
     assert ran.code in (0, 1), ran.err

@@ -72,6 +72,7 @@ def test_families_are_compared_if_there_are_two(script: dict[str, Any]) -> None:
     assert said.endswith("Spearman's correlation of both orders is 1.00.")
 
 
+@pytest.mark.slow
 def test_a_clear_winner_leads_surely_and_a_tie_does_not(
     script: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

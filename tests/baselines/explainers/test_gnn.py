@@ -98,6 +98,7 @@ def test_the_default_result_is_mostly_its_random_start() -> None:
     assert abs(correlation(one, two)) < 0.3
 
 
+@pytest.mark.slow
 def test_a_timestep_s_mask_does_not_depend_on_other_timesteps() -> None:
     policy, observations = small_policy(6, 3), random_observations(5, 3, 6)
     start = random_logits(3, [1, 2, 3, 4, 5])
@@ -129,6 +130,7 @@ def test_tuned_starts_from_zero_draws_nothing_and_changes_the_action_less() -> N
         assert tuned.mean() < 0.99  # not by keeping everything
 
 
+@pytest.mark.slow
 def test_a_tuned_mask_is_equal_for_identical_senders() -> None:
     """Identical senders get the same mask; from a random start they do not."""
     policy, observations = small_policy(6, 3), random_observations(5, 4, 6)

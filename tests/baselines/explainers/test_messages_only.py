@@ -69,6 +69,7 @@ def test_shapley_of_messages_is_the_mean_over_orders_of_the_others() -> None:
     assert mask.diagonal(dim1=1, dim2=2).eq(1).all()
 
 
+@pytest.mark.slow
 def test_gradients_of_messages_are_complete_for_an_agent_that_hears_itself() -> None:
     policy, observations = small_policy(6, 1), random_observations(6, N, 6)
     points = [(k + 0.5) / 200 for k in range(200)]

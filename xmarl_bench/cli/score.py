@@ -236,8 +236,8 @@ def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> lis
     for each in found:
         if each.error is not None:
             errors.setdefault(each.explainer, []).append(each)
-    more = [f" and {len(those) - 1} more" if len(those) > 1 else "" for those in errors.values()]
-    return [
-        InputError(f"on {first.family} of {first.n_agents}{others}: {first.error}")
-        for (first, *_), others in zip(errors.values(), more, strict=True)
-    ]
+    failed = []
+    for first, *others in errors.values():
+        more = f" and {len(others)} more" if others else ""
+        failed.append(InputError(f"on {first.family} of {first.n_agents}{more}: {first.error}"))
+    return failed

@@ -48,25 +48,27 @@ def save_policy(folder: str | Path, policy: nn.Module, **card: Any) -> PolicyCar
 
 def packed(policy: nn.Module, **card: Any) -> tuple[PolicyCard, bytes]:
     """The card and the weights that `save_policy` writes. Raises InputError if the card is invalid."""
-    from safetensors.torch import save
+    from xmarl_bench.policy.build import closed_network
 
-    from xmarl_bench.policy.build import closed_network, weights_of
-
-    weights = save(weights_of(policy))
+    weights, digest = _saved(policy)
     architecture = closed_network(policy).architecture
-    digest = hashlib.sha256(weights).hexdigest()
     with fields_named("the policy's"):
         return PolicyCard(architecture=architecture, weights_sha256=digest, **card), weights
 
 
 def with_own_weights(policy: nn.Module, card: PolicyCard) -> PolicyCard:
     """The card with the hash of the policy's weights, which may have changed since they were loaded."""
+    return card.model_copy(update={"weights_sha256": _saved(policy)[1]})
+
+
+def _saved(policy: nn.Module) -> tuple[bytes, str]:
+    """The content of a policy's file of weights, and its hash."""
     from safetensors.torch import save
 
     from xmarl_bench.policy.build import weights_of
 
-    digest = hashlib.sha256(save(weights_of(policy))).hexdigest()
-    return card.model_copy(update={"weights_sha256": digest})
+    weights = save(weights_of(policy))
+    return weights, hashlib.sha256(weights).hexdigest()
 
 
 def write_bundle(folder: Path, card: PolicyCard, weights: bytes) -> None:

@@ -148,8 +148,9 @@ def _opened(
     if isinstance(policy, PolicyModule):
         return open_module(policy, origin_of(policy.network))
     network, card = policy
-    code = isinstance(card.architecture, CodeArchitecture)
-    return network, card if code else with_own_weights(network, card)
+    if isinstance(card.architecture, CodeArchitecture):
+        return policy
+    return network, with_own_weights(network, card)
 
 
 def score_requests(

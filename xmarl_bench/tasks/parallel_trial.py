@@ -115,10 +115,8 @@ def _max_cycles(name: str, env: Parallel) -> int:
 def _check_repeats(task: ParallelTask) -> None:
     """Raise InputError if an episode differs when it is played again beside another one."""
     alone, beside = _played(task, (SEED,)), _played(task, (SEED, OTHER_SEED))
-    for step, (first, again) in enumerate(zip_longest(alone, beside)):
-        ended = first is None or again is None
-        # A reward may be NaN: `check task` names it.
-        if ended or not np.array_equal(first, again, equal_nan=True):
+    for step, (first, again) in enumerate(zip_longest(alone, beside, fillvalue=np.empty(0))):
+        if not np.array_equal(first, again, equal_nan=True):  # a reward may be NaN: `check task` names it
             when = "at the start" if step == 0 else f"after {step} steps"
             raise InputError(
                 f"task {task.name!r} does not repeat: two episodes with seed {SEED} and the same actions "

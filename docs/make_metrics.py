@@ -30,6 +30,7 @@ from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.default_policies import default_policies
 from xmarl_bench.records.markdown import markdown_table, rewrite, with_part
 from xmarl_bench.reproducible import episode_seeds, one_thread
+from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.rollout.reference_states import reference_states
 from xmarl_bench.scoring.states import States
@@ -61,7 +62,7 @@ def measure(folder: Path) -> tuple[str, dict[str, Row]]:
     rows: dict[str, list[list[float | None]]] = defaultdict(list)
     with one_thread():
         seeds = episode_seeds(0, EPISODES)
-        reference = reference_states(policy, card.task, card.n_agents)
+        reference = reference_states(policy, Cell(card.task, card.n_agents))
         for episode in roll_out(make_task(card.task, card.n_agents), policy, seeds):
             observations = torch.tensor(episode.observations)
             states = States.of(policy, observations, np.random.default_rng(episode.seed), reference)

@@ -68,7 +68,7 @@ def of_policy(folder: Path) -> tuple[str, list[float]]:
     """The task, and means over episodes."""
     policy, card = load_policy(folder)
     assert isinstance(policy, GraphPolicy)
-    reference = fit_states(policy, card.task, card.n_agents)
+    reference = fit_states(policy, Cell(card.task, card.n_agents))
     seeds = tuple(episode_seeds(0, EPISODES))
     episodes = Rollout(policy, Cell(card.task, card.n_agents), seeds, None).play()
     values = np.nanmean([of_episode(policy, reference, each) for each in episodes], axis=0)

@@ -63,7 +63,7 @@ def cost(name: str, n_agents: int) -> tuple[str, float, float]:
         policy, card = load_policy(find_policies()[name])
         task = card.task
     (episode,) = roll_out(Cell(task, n_agents).make(), policy, [SEED])
-    reference = reference_states(policy, task, n_agents)
+    reference = reference_states(policy, Cell(task, n_agents))
 
     def seconds(timesteps: int) -> float:
         started = time.process_time()

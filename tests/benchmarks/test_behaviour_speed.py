@@ -37,7 +37,7 @@ def test_the_other_absence_models_cost_less_than_twice_zero(
         if (each.task, each.n_agents) == (TASK, n_agents) and each.attention_entropy > 0
     )
     policy, card = load_policy(find_policies()[name])
-    reference = reference_states(policy, card.task, n_agents)
+    reference = reference_states(policy, Cell(card.task, n_agents))
     spent = {"zero": 0.0, "others": 0.0}
 
     def act_out() -> None:

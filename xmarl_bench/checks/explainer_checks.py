@@ -29,7 +29,7 @@ from xmarl_bench.parallel.fan_out import in_order
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import Policy
 from xmarl_bench.reproducible import one_thread, seeded
-from xmarl_bench.rollout.cell import spaced_timesteps
+from xmarl_bench.rollout.cell import Cell, spaced_timesteps
 from xmarl_bench.rollout.reference_states import FIRST_FIT_SEED, FIT_EPISODES, fit_states
 
 ROUNDING: Final = 1e-4  # rounding of matrix products depends on the size of the batch
@@ -48,7 +48,7 @@ def check_explainer(
     """
     with one_thread():
         # One that simulates is given the simulator of one episode, and the states of no other.
-        played = fit_states(policy, task, n_agents, episodes=1 if explainer.simulates else FIT_EPISODES)
+        played = fit_states(policy, Cell(task, n_agents), episodes=1 if explainer.simulates else FIT_EPISODES)
         states = played[torch.from_numpy(spaced_timesteps(len(played), timesteps))]
         ready = fitted(explainer, policy, lambda: played, SEED)
         ready = replace(ready, simulator=Simulator(task, n_agents, FIRST_FIT_SEED))

@@ -51,7 +51,7 @@ class PolicySubject:
 def check_policy(policy: Policy, cell: Cell, *, timesteps: int = 20, episodes: int = 20) -> Iterator[Finding]:
     """Run every check, on `timesteps` states of the policy's own episodes and on `episodes` new ones."""
     with one_thread(), torch.no_grad():
-        states = fit_states(policy, cell.task, cell.n_agents)
+        states = fit_states(policy, cell)
         states = states[torch.from_numpy(spaced_timesteps(len(states), timesteps))]
         yield from run_checks(CHECKS, PolicySubject(policy, cell, states, episodes))
 

@@ -65,7 +65,7 @@ def played_dataset(
     policy = copy.deepcopy(policy).eval()
     played = Rollout(policy, cell, tuple(seeds), max_cycles).play()
     with one_thread():
-        reference = reference_states(policy, cell.task, cell.n_agents, max_cycles)
+        reference = reference_states(policy, cell, max_cycles)
         parts = [
             _asked(
                 policy,

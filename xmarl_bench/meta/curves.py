@@ -25,7 +25,7 @@ from xmarl_bench.metrics.table import UNDER_ABSENCES, Direction, Group, by_name,
 from xmarl_bench.planted.families import SIZES, planted, teams
 from xmarl_bench.policy import Policy, PolicyCard
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
-from xmarl_bench.rollout.cell import spaced_timesteps
+from xmarl_bench.rollout.cell import Cell, spaced_timesteps
 from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.rollout.reference_states import reference_states
 from xmarl_bench.scoring.states import States
@@ -115,7 +115,7 @@ def states_of(
     policy: Policy, card: PolicyCard, *, episodes: int, timesteps: int | None, seed: int
 ) -> Iterator[tuple[States, np.random.Generator]]:
     """The states of each of the first scoring episodes, with a random generator."""
-    reference = reference_states(policy, card.task, card.n_agents)
+    reference = reference_states(policy, Cell(card.task, card.n_agents))
     for episode in roll_out(make_task(card.task, card.n_agents), policy, episode_seeds(seed, episodes)):
         rng = np.random.default_rng(derived_seed("meta", seed, card.name, episode.seed))
         chosen = episode.observations[spaced_timesteps(episode.makespan, timesteps)]

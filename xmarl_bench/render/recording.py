@@ -19,6 +19,7 @@ from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.policy import Policy
 from xmarl_bench.render.ring import Ring
 from xmarl_bench.reproducible import derived_seed, episode_seeds, one_thread
+from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import chooser, initial_state
 from xmarl_bench.rollout.reference_states import fit_states
 from xmarl_bench.tasks.interface import TeamEpisodes, TeamTask, random_actions
@@ -61,7 +62,7 @@ class Recording:
                 f"choose a policy, or leave the explainer out."
             )
         task, n_agents = self.task.name, self.task.n_agents
-        states = partial(fit_states, self.policy, task, n_agents, self.max_cycles)
+        states = partial(fit_states, self.policy, Cell(task, n_agents), self.max_cycles)
         explainer = fitted(explainer, self.policy, states, self.run_seed)
         explainer = replace(explainer, simulator=Simulator(task, n_agents, self.seed))
         seed = derived_seed("explainer", self.run_seed, explainer.name, self.seed)

@@ -24,21 +24,19 @@ FIRST_FIT_SEED: Final = 2**30
 
 
 def fit_states(
-    policy: Policy, task: str, n_agents: int, max_cycles: int | None = None, episodes: int = FIT_EPISODES
+    policy: Policy, cell: Cell, max_cycles: int | None = None, episodes: int = FIT_EPISODES
 ) -> Tensor:
     """(S, N, D) observations to fit an explainer on, of that many episodes.
 
     max_cycles: steps per episode, as in scoring; None: the task's default.
     """
     seeds = tuple(range(FIRST_FIT_SEED, FIRST_FIT_SEED + episodes))
-    played = Rollout(policy, Cell(task, n_agents), seeds, max_cycles).play()
+    played = Rollout(policy, cell, seeds, max_cycles).play()
     return torch.tensor(
         np.concatenate([each.observations[spaced_timesteps(each.makespan, FIT_TIMESTEPS)] for each in played])
     )
 
 
-def reference_states(
-    policy: Policy, task: str, n_agents: int, max_cycles: int | None = None
-) -> Tensor | None:
+def reference_states(policy: Policy, cell: Cell, max_cycles: int | None = None) -> Tensor | None:
     """(S, N, D) observations whose messages replace removed ones; None if the policy's are not known."""
-    return fit_states(policy, task, n_agents, max_cycles) if isinstance(policy, GraphPolicy) else None
+    return fit_states(policy, cell, max_cycles) if isinstance(policy, GraphPolicy) else None

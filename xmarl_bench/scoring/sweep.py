@@ -248,8 +248,7 @@ class Sweep:
 
 def _fit_states(environment: Environment) -> Tensor:
     """The states that explainers are fitted on."""
-    cell = environment.cell
-    return fit_states(environment.policy, cell.task, cell.n_agents, environment.max_cycles)
+    return fit_states(environment.policy, environment.cell, environment.max_cycles)
 
 
 def _controls(environment: Environment) -> tuple[Explainer, ...]:

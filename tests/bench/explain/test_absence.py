@@ -14,6 +14,7 @@ from xmarl_bench.explain.oracle import change_table
 from xmarl_bench.metrics import others_table
 from xmarl_bench.metrics.absence import Absence
 from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.reference_states import reference_states
 
 Floats = NDArray[np.float64]
@@ -124,7 +125,7 @@ def test_draws_are_passed_in_and_chunks_change_only_rounding(monkeypatch: pytest
 @pytest.mark.slow
 def test_reference_states_are_those_of_policies_whose_messages_are_known() -> None:
     policy = small_policy(6, 1)
-    states = reference_states(policy, "blind_navigation_v0", 3)
+    states = reference_states(policy, Cell("blind_navigation_v0", 3))
     assert states is not None
     assert states.shape[1:] == (3, 6)
     assert len(states) <= 10 * 20

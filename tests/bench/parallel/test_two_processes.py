@@ -99,6 +99,20 @@ def test_datasets_have_the_same_bytes(run_cli: RunCli, tmp_path: Path) -> None:
     assert exported(folder, tmp_path / "a", run_cli) == exported(folder, tmp_path / "b", run_cli, "--jobs", 2)
 
 
+def test_datasets_of_a_task_of_others_have_the_same_bytes(
+    run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sources, "_opened", {})
+    policy, card = spread_policy()
+    save_policy(tmp_path / "spreader", policy, **card | {"name": "small"})
+    task = ("--task", f"{HERE}:spread", "--trust-code")
+    one, two = (
+        exported(tmp_path / "spreader", tmp_path / f"{jobs}", run_cli, *task, "--jobs", jobs)
+        for jobs in (1, 2)
+    )
+    assert one == two
+
+
 def test_the_check_of_explainers_compares_the_mask_of_another_process() -> None:
     assert failed(attended, PROCESS) == {}
     by_process = as_explainer(lambda observations: torch.full((len(observations), 3, 3), 1 / os.getpid()))

@@ -20,6 +20,7 @@ from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.policy import Policy, complete_graph
 from xmarl_bench.render.recording import record
 from xmarl_bench.reproducible import episode_seeds
+from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import roll_out
 from xmarl_bench.rollout.reference_states import fit_states
 
@@ -101,6 +102,6 @@ def test_what_is_drawn_and_what_is_fitted_on_hold_memories_too(policy: Policy) -
 @pytest.mark.slow
 def test_states_to_be_fitted_on_hold_memories_too() -> None:
     policy = POLICIES["gru, fast"]
-    states = fit_states(policy, TASK, 3)
+    states = fit_states(policy, Cell(TASK, 3))
     assert states.shape[1:] == (3, D + policy.memory_dim)
     assert states[..., D:].abs().max() > 0.1

@@ -40,7 +40,7 @@ class Learner:
 def test_states_are_from_episodes_that_no_score_plays() -> None:
     assert FIRST_FIT_SEED + FIT_EPISODES <= TRAINING_SEEDS.stop <= PUBLIC_SEEDS.start
     policy, cell = small_policy(6), Cell("blind_navigation_v0", 3)
-    states = fit_states(policy, cell.task, cell.n_agents)
+    states = fit_states(policy, cell)
     assert states.shape[0] <= FIT_EPISODES * FIT_TIMESTEPS
     assert states.shape[1:] == (3, 6)
     (episode,) = roll_out(cell.make(), policy, [FIRST_FIT_SEED])
@@ -53,9 +53,9 @@ def test_a_run_fits_once_and_refits_for_shuffled_weights(
 ) -> None:
     played: list[str] = []
 
-    def counted(policy: Policy, task: str, n_agents: int, max_cycles: int | None) -> Tensor:
-        played.append(task)
-        return fit_states(policy, task, n_agents, max_cycles)
+    def counted(policy: Policy, cell: Cell, max_cycles: int | None) -> Tensor:
+        played.append(cell.task)
+        return fit_states(policy, cell, max_cycles)
 
     monkeypatch.setattr(sweep, "fit_states", counted)
     policy, card = load_policy(make_bundle())
@@ -73,7 +73,7 @@ def test_a_run_fits_once_and_refits_for_shuffled_weights(
     assert len(shuffled) == 5  # sanity checks of 3 and of 2 episodes
     assert first[0] not in shuffled
     assert all(torch.equal(states, first[1]) for _, states in others)
-    assert torch.equal(first[1], fit_states(policy, card.task, 3, max_cycles=4))
+    assert torch.equal(first[1], fit_states(policy, Cell(card.task, 3), max_cycles=4))
     assert len(first[1]) == 4 * FIT_EPISODES  # episodes end as early as scored ones
     assert all(entry.explainer.needs_fit for entry in entries)
     again = list(entries_of(score_requests([requests[0]])))

@@ -68,6 +68,7 @@ def as_explainer(thing: object = _ABSENT, /, **declared: Unpack[Declared]) -> An
 
     Also a decorator, with or without arguments. A class is instantiated without arguments; an object explains
     by its method `explain` or by being called, and may declare by attributes, which arguments here override.
+    The keywords of a partial are its hyperparameters.
     An `Explainer` is returned unchanged. Raises InputError for anything else, and for invalid declarations.
     """
     if thing is _ABSENT:
@@ -87,6 +88,9 @@ def as_explainer(thing: object = _ABSENT, /, **declared: Unpack[Declared]) -> An
         return _of_algorithm(thing, declared)
     if inspect.isroutine(thing):
         return _made(thing.__name__, thing, None, {"summary": _first_line(thing)}, declared)
+    if isinstance(thing, partial) and inspect.isroutine(thing.func):
+        own = {"summary": _first_line(thing.func), "hyperparameters": _scalars(thing.keywords)}
+        return _made(thing.func.__name__, thing, None, own, declared)
     explain = getattr(thing, "explain", thing)
     if not callable(explain):
         raise InputError(

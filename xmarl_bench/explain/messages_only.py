@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.adapters import as_explainer
+from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.explain.control_names import MESSAGES_ONLY
 from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
 from xmarl_bench.explain.explainer import Explain, Explainer, Fit, explain_of
@@ -88,7 +88,7 @@ def messages_only(thing: object) -> Explainer:
         signed=False,
         fit=None if explainer.fit is None else _asked_when_fitted(explainer, explainer.fit),
         node_importance=None,
-        origin=None,
+        origin=origin_of_explainer(explainer),
     )
 
 

@@ -13,6 +13,7 @@ import tokenize
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from types import ModuleType
@@ -115,8 +116,11 @@ def load_reference(reference: str) -> tuple[Any, Origin]:
 def origin_of(found: object) -> Origin:
     """The origin of an object in memory: its installed package, or the hash of its own source.
 
-    The hash covers the source of the function or class, if Python finds it, and nothing that it calls.
+    That of a partial is that of its function. The hash covers the source of the function or class, if Python
+    finds it, and nothing that it calls.
     """
+    if isinstance(found, partial):
+        return origin_of(found.func)
     code = found if inspect.isroutine(found) or inspect.isclass(found) else type(found)
     where = f"{code.__module__}:{code.__qualname__}"
     distribution = distribution_of(code.__module__)

@@ -6,6 +6,7 @@ import math
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -166,6 +167,17 @@ def test_classes_and_objects_explain_and_declare() -> None:
 
     with pytest.raises(InputError, match="'NeedsMore' cannot be made without arguments"):
         as_explainer(NeedsMore)
+
+
+def test_the_keywords_of_a_partial_are_its_hyperparameters() -> None:
+    def tempered(observations: Tensor, policy: Policy, temperature: float = 1.0) -> Tensor:
+        """Attention, sharper or flatter."""
+        return policy.attention(observations) ** temperature
+
+    explainer = as_explainer(partial(tempered, temperature=2.0))
+    assert (explainer.name, explainer.summary) == ("tempered", "Attention, sharper or flatter.")
+    assert explainer.hyperparameters == {"temperature": 2.0}
+    assert torch.equal(run(explainer), POLICY.attention(OBSERVATIONS) ** 2.0)
 
 
 def test_an_unbatched_explainer_is_called_for_one_timestep_at_a_time() -> None:
@@ -352,9 +364,12 @@ def test_explainers_can_be_sent_to_worker_processes(thing: object) -> None:
 
 @pytest.mark.slow
 def test_the_origin_of_an_explainer_is_recorded(make_bundle: MakeBundle) -> None:
-    for thing in (attended, Tempered, Tempered(), Tempered().explain):
+    others = partial(attended), messages_only(as_explainer(attended))
+    for thing in (attended, Tempered, Tempered(), Tempered().explain, *others):
         origin = origin_of_explainer(as_explainer(thing))
-        assert origin.entry_point == f"{__name__}:{'attended' if thing is attended else 'Tempered'}", origin
+        assert (
+            origin.entry_point == f"{__name__}:{'attended' if thing in (attended, *others) else 'Tempered'}"
+        ), origin
         assert origin.code_sha256 is not None
     known, another = (origin_of_explainer(as_explainer(each)).code_sha256 for each in (attended, swapped))
     assert known != another

@@ -47,6 +47,7 @@ class Source:
     load: dict[str, Any] | None = field(compare=False)  # its first question: what code to load
     isolation: Isolation
     readable: tuple[Path, ...] = ()
+    key: str | None = None  # of the code that was loaded first; None: not known
     token: str = field(default_factory=secrets.token_hex)  # another one in each run, which reads files anew
 
     def beside(self, other: Source) -> Source:
@@ -66,6 +67,8 @@ class Conversation:
         self.fits: OrderedDict[str, None] = OrderedDict()
         try:
             self.declared: dict[str, Any] = {} if source.load is None else self.ask(source.load)[0]
+            if source.key not in (None, self.declared.get("key")):
+                raise InputError(f"the code of {source.name} has changed since it was loaded: run again.")
         except BaseException:
             self.process.close()
             raise
@@ -105,6 +108,11 @@ def reading_answer(source: Source) -> Iterator[None]:
 def forgotten(known: OrderedDict[str, None], kept: int) -> list[str]:
     """The oldest keys, dropped to make place for one more."""
     return [known.popitem(last=False)[0] for _ in range(len(known) - kept + 1)]
+
+
+def is_running(source: Source) -> bool:
+    """Whether the source's process was started here, and has not ended."""
+    return isinstance(_running().get(source.token), Conversation)
 
 
 def conversation(source: Source) -> Conversation:

@@ -81,7 +81,7 @@ def find_elsewhere(
         accesses=None if declared.accesses == SIMULATOR else declared.accesses,
         fit=_not_here if declared.needs_fit else None,
         origin=origin or its_own,
-        elsewhere=Asked(source, declared.key or secrets.token_hex()),
+        elsewhere=Asked(replace(source, key=declared.key), declared.key or secrets.token_hex()),
     )
 
 

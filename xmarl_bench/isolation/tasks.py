@@ -8,7 +8,7 @@ from __future__ import annotations
 import secrets
 import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -19,7 +19,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from xmarl_envs import TASKS, Step
 
 from xmarl_bench.errors import InputError
-from xmarl_bench.isolation.conversation import Isolation, Source, conversation, reading_answer, sendable
+from xmarl_bench.isolation.conversation import (
+    Isolation,
+    Source,
+    conversation,
+    is_running,
+    reading_answer,
+    sendable,
+)
 from xmarl_bench.origin.plugins import origin_of_plugin
 from xmarl_bench.origin.references import Origin, located, origin_of
 from xmarl_bench.records.field_types import Name, Text
@@ -87,7 +94,11 @@ def ask_task(
         return plugin
     if plugin is not None:
         known = opened_tasks().get(task)
-        if isinstance(known, AskedSource) and known.source.isolation == isolation:
+        if (
+            isinstance(known, AskedSource)
+            and known.source.isolation == isolation
+            and is_running(known.source)
+        ):
             return known
         asked = {"plugin": (plugin.name, plugin.value, plugin.group)}
         source = Source(f"task {task}", {"what": "task", **asked}, isolation)
@@ -115,7 +126,7 @@ def _opened(source: Source, origin: Origin | None, name: str | None) -> TaskSour
         told.name,
         _not_here,
         origin or Origin(**vars(told.origin)),
-        source,
+        replace(source, key=told.key),
         told.key or secrets.token_hex(),
         told.observation_names,
     )

@@ -105,7 +105,7 @@ def other_explainer(entry: Entry, explainer: Explainer) -> list[str]:
 
 def _spot(result: Rerun, where: str, cell: CellResult, request: Request, chosen: Sequence[int]) -> None:
     sampling = request.sampling
-    states = cache(partial(fit_states, request.policy, cell, sampling.max_cycles))
+    states = cache(partial(fit_states, request.policy, request.cells[0], sampling.max_cycles))
     explainer = fitted(request.explainer, request.policy, states, sampling.seed)
     seeds = tuple(sampling.seeds[k] for k in chosen)
     rollouts = [

@@ -210,6 +210,21 @@ def test_the_process_of_code_that_does_not_load_is_closed(
     assert [each.running for each in started] == [False]
 
 
+def test_code_that_changes_during_a_run_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(CODE)
+    found, states = ask_explainer(f"{file}:stranger", Isolation()), random_observations(2, 3, 6)
+    states[0, 0, 0] = 0
+    fitted = fit_explainer(found, small_policy(6), states, 0)
+    end_strangers()  # a worker process starts its own
+    run_explainer(fitted, small_policy(6), states, 0)
+    end_strangers()
+    file.write_text(CODE + "# more")
+    with pytest.raises(InputError, match=r"the code of explainer own.py:stranger has changed since it was"):
+        run_explainer(fitted, small_policy(6), states, 0)
+    end_strangers()
+
+
 def test_limits_must_be_above_zero_and_finite() -> None:
     with pytest.raises(InputError, match="cpu_seconds must be more than 0 and finite, got 0"):
         Limits(cpu_seconds=0)

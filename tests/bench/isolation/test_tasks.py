@@ -206,6 +206,18 @@ def test_observations_that_are_no_numbers_are_refused() -> None:
         ask_task(Lost, Isolation()).make(3).vector_env(1).reset([1])
 
 
+def test_code_that_changes_during_a_run_is_refused(tmp_path: Path) -> None:
+    file, code = tmp_path / "own.py", "from tests.bench.tasks.worlds import Line\nclass Own(Line): "
+    code += "...\ndef own(n_agents): return Own(n_agents)\n"
+    file.write_text(code)
+    task = ask_task(f"{file}:own", Isolation(), trust_code=True).make(3)
+    task.vector_env(1).reset([1])
+    end_strangers()  # a worker process starts its own
+    file.write_text(code + "# more")
+    with pytest.raises(InputError, match=r"the code of task own.py:own has changed since it was loaded"):
+        task.vector_env(1).reset([1])
+
+
 def test_environments_that_nobody_plays_any_more_are_released() -> None:
     task = ask_task(counting, Isolation()).make(3)
     alive = [int(task.vector_env(4).reset([0, 1, 2, 3])[3, 0, 0]) for _ in range(4)]

@@ -65,6 +65,11 @@ def values_of(rows: Sequence[Json]) -> list[float]:
     return [value for row in rows if (value := value_of(row)) is not None]
 
 
+def newest(rows: Iterable[Json]) -> dict[str, Json]:
+    """Explainer or control -> its row. Of several entries of an explainer the newest counts."""
+    return {row["explainer"]: row for row in sorted(rows, key=lambda row: (row["date"] or "", row["file"]))}
+
+
 def policy_record(entry: Entry, cell: CellResult) -> Json:
     """The policy's record. Its task metrics are the same in every row, because all play the same episodes."""
     return {

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xmarl_bench.board.columns import MOST, ORDER, PAPER
-from xmarl_bench.board.entry_rows import Group, Json, value_of, values_of
+from xmarl_bench.board.entry_rows import Group, Json, newest, value_of, values_of
 from xmarl_bench.board.ranking import DIGITS, Floats, Place, complete_part, places
 from xmarl_bench.explain.control_names import NEAREST, RANDOM
 from xmarl_bench.metrics.statistics import interquartile_mean, over_units
@@ -104,11 +104,7 @@ def _by_name(pairs: Sequence[Scored]) -> list[dict[str, Json]]:
             scored.setdefault(row["explainer"], {}).setdefault(identity, []).append(row)
     counted = {name: max(each, key=partial(_weight, each)) for name, each in scored.items()}
     return [
-        {
-            row["explainer"]: row
-            for row in reversed(group.ranked)
-            if group.explainers[row["file"]] == counted[row["explainer"]]
-        }
+        newest(row for row in group.ranked if group.explainers[row["file"]] == counted[row["explainer"]])
         for _, group in pairs
     ]
 

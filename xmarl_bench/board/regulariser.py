@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from xmarl_bench.board.columns import ORDER
-from xmarl_bench.board.entry_rows import is_whole
+from xmarl_bench.board.entry_rows import is_whole, newest, value_of
 from xmarl_bench.board.ranking import DIGITS
 from xmarl_bench.metrics.student import Design, interval_of, mean_of
 from xmarl_bench.records.files import canonical_json
@@ -95,11 +94,9 @@ def values_of(
 
 
 def score_of(policy: Json, explainer: str) -> float | None:
-    """Mean over an explainer's rows of a policy, in the board's order; None without a value."""
-    rows = [row for row in policy["rows"] if row["explainer"] == explainer and not row["control"]]
-    return _mean(
-        [summary["value"] for row in rows if (summary := row["metrics"].get(ORDER["by"])) is not None]
-    )
+    """An explainer's value in the board's order on a policy; None without one."""
+    row = newest(policy["rows"]).get(explainer)
+    return None if row is None or row["control"] else value_of(row)
 
 
 def task_metric_of(policy: Json, metric: str) -> float | None:

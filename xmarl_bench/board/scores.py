@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xmarl_bench.board.entry_rows import is_whole
+from xmarl_bench.board.entry_rows import is_whole, newest
 from xmarl_bench.metrics.statistics import Difference, over_runs
 from xmarl_bench.metrics.student import Design
 
@@ -46,7 +46,7 @@ class Scores:
                 if not is_whole(policy) or (policy["name"], table["n_agents"]) not in compared:
                     continue
                 policies.append({**policy, "task": table["task"], "n_agents": table["n_agents"]})
-                for row in policy["rows"]:
+                for row in newest(policy["rows"]).values():
                     for metric, summary in row["metrics"].items():
                         if summary is not None and summary["value"] is not None:
                             of_metric = values.setdefault(metric, {})

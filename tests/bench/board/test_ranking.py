@@ -11,8 +11,11 @@ from hypothesis import strategies as st
 
 from tests.helpers.made_entries import made_board, made_entry
 from xmarl_bench.board import board_of
+from xmarl_bench.board.columns import ORDER
 from xmarl_bench.board.entry_rows import Json
 from xmarl_bench.board.ranking import Floats, complete_part, places
+from xmarl_bench.board.regulariser import score_of
+from xmarl_bench.board.scores import Scores
 from xmarl_bench.entry.protocol import SAMPLED
 from xmarl_bench.entry.schema import Entry, OracleRecord
 from xmarl_bench.metrics.statistics import over_units
@@ -180,6 +183,22 @@ def test_of_explainers_with_one_name_the_one_on_most_policies_is_ranked() -> Non
         rows = {row["explainer"]: row for row in overall["rows"]}
         assert (rows["good"]["rank"], rows["mine"]["rank"]) == (1, 2)
         assert rows["mine"]["value"] == pytest.approx(np.mean([order_of(each) for each in everywhere]))
+
+
+def test_of_an_explainer_s_entries_on_a_policy_the_newest_counts() -> None:
+    """In the ranking, in what is said of it and of the term, whatever the files' names and values."""
+    old = made_entry("policy", "mine", 0.9)
+    finished = {"finished": "2026-02-02T00:00:00Z"}
+    again = made_entry("policy", "mine", 0.3, submitter="somebody else")
+    again = again.model_copy(update={"provenance": again.provenance.model_copy(update=finished)})
+    for listed in ([old, again], [again, old]):
+        made = board([*listed, made_entry("policy", "good", 0.8)])
+        (ranking,) = (each for each in made["rankings"] if each["task"] is None)
+        rows = {row["explainer"]: row for row in ranking["rows"]}
+        expected = pytest.approx(order_of(again))
+        assert rows["mine"]["value"] == expected
+        assert Scores.of(made).mean(ORDER["by"], "mine") == expected
+        assert score_of(made["tables"][0]["policies"][0], "mine") == expected
 
 
 def test_gated_policies_are_not_ranked() -> None:

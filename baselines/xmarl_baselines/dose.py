@@ -16,12 +16,11 @@ from typing import Annotated, Any
 import typer
 
 from xmarl_baselines.independent_ppo import CONTROLS
-from xmarl_baselines.reference import dose_runs
+from xmarl_baselines.reference import dose_runs, finished_bundle
 from xmarl_bench import score
 from xmarl_bench.cli.program import run_function
 from xmarl_bench.policy import load_policy
 from xmarl_bench.policy.card import load_card
-from xmarl_bench.policy.untrusted import CARD
 from xmarl_bench.records.files import write_json
 
 RECORDS = CONTROLS / "dose"
@@ -57,10 +56,13 @@ def main(
     runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --out` wrote to")],
     out: Annotated[Path, typer.Option(help="folder for NAME.json")] = RECORDS,
 ) -> None:
-    """Measure the finished runs of the dose that have no file, or one of other weights."""
-    for name in dose_runs():
-        bundle, path = runs / name / "policy", out / f"{name}.json"
-        if not (bundle / CARD).exists():
+    """Measure the finished runs of the dose that have no file, or one of other weights.
+
+    Raises InputError if a run there has another run's name.
+    """
+    for name, run in dose_runs().items():
+        bundle, path = finished_bundle(run, runs), out / f"{name}.json"
+        if bundle is None:
             continue
         if (
             path.exists()

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 from xmarl_baselines.paper_schedule import schedule_runs
 from xmarl_baselines.policies import shipped_policies
@@ -14,7 +15,8 @@ from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.recipes import RECIPES, Recipe, recipe_for
 from xmarl_baselines.training.trainer import Run
 from xmarl_bench.errors import InputError, unknown
-from xmarl_bench.policy.card import load_card
+from xmarl_bench.policy.card import PolicyCard, load_card
+from xmarl_bench.policy.untrusted import CARD
 
 SIZES = (3, 4, 5)
 SEEDS = (0, 1, 2)
@@ -77,12 +79,30 @@ def run_named(name: str) -> Run:
     """
     runs, shipped = planned_runs(), shipped_policies()
     if name in shipped:
-        training = load_card(shipped[name]).training
-        fields = ("n_agents", "attention_entropy", "seed", "caution", "start_from")
-        run = Run(Recipe.from_dict(training["recipe"]), **{field: training[field] for field in fields})
+        run = run_of(load_card(shipped[name]))
         if run.name == name and run.start_from is None:
             return run
         raise InputError(f"{name} cannot be made by one run: `training` in its card says how to make it.")
     if name not in runs:
         raise unknown("reference policy", name, runs)
     return runs[name]
+
+
+def run_of(card: PolicyCard) -> Run:
+    """The run that a card records. Raises InputError if another version of xmarl-train wrote it."""
+    fields = ("n_agents", "attention_entropy", "seed", "caution", "start_from")
+    recipe = Recipe.from_dict(card.training["recipe"])
+    return Run(recipe, **{field: card.training[field] for field in fields})
+
+
+def finished_bundle(run: Run, runs: Path) -> Path | None:
+    """The policy of a run in the folder `runs`; None if it is not finished.
+
+    Raises InputError if it is the policy of another run of this name: a name does not tell every setting.
+    """
+    bundle = runs / run.name / "policy"
+    if not (bundle / CARD).exists():
+        return None
+    if run_of(load_card(bundle)) != run:
+        raise InputError(f"{bundle} was trained with other settings: give another folder, or remove it.")
+    return bundle

@@ -15,10 +15,10 @@ import typer
 from safetensors.torch import load_file
 
 from xmarl_baselines.policies import HERE
-from xmarl_baselines.reference import EPISODES, reference_runs
-from xmarl_baselines.training.command import command_of
+from xmarl_baselines.reference import EPISODES, finished_bundle, reference_runs
 from xmarl_baselines.training.model_selection import weights_at
 from xmarl_bench.cli.program import run_function
+from xmarl_bench.errors import InputError
 from xmarl_bench.policy import GraphPolicy, load_policy, save_policy
 from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.untrusted import CARD
@@ -32,14 +32,14 @@ ALONG_TRAINING = (10, 20, 50, 80, 90)
 def main(runs: Annotated[Path, typer.Argument(help="folder that `xmarl-train --out` wrote to")]) -> None:
     """Copy finished reference runs into the package."""
     for name, run in reference_runs().items():
-        bundle = runs / name / "policy"
-        if not (bundle / CARD).exists():
+        try:
+            bundle = finished_bundle(run, runs)
+        except InputError as error:
+            print(f"not shipped: {error}")
+            continue
+        if bundle is None:
             continue
         policy, card = load_policy(bundle)
-        made_by = card.training["command"]
-        if made_by != command_of(run):  # a name does not tell every setting
-            print(f"not shipped: {bundle} was made by `{made_by}`, not by `{command_of(run)}`")
-            continue
         along = (run.recipe.task, run.n_agents, run.seed) == ("blind_navigation_v0", 3, 0)
         there = [name, *(f"{name}-at{percent}" for percent in ALONG_TRAINING if along)]
         if all((HERE / each / CARD).exists() for each in there) and load_card(HERE / name) == card:

@@ -14,10 +14,10 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from xmarl_baselines.reference import EPISODES, GROUPS, planned_runs, run_named
+from xmarl_baselines.reference import EPISODES, GROUPS, finished_bundle, planned_runs, run_named
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.own_process import train_in_own_process
-from xmarl_baselines.training.recipes import recipe_for
+from xmarl_baselines.training.recipes import Recipe, recipe_for
 from xmarl_baselines.training.trainer import Report, Run, train
 from xmarl_bench.cli.fitted_table import print_table
 from xmarl_bench.cli.options import Address, Backend, Device
@@ -29,7 +29,6 @@ from xmarl_bench.parallel.fan_out import Failure, fan_out
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import PolicyCard, save_policy
 from xmarl_bench.policy.device import CPU, checked_device
-from xmarl_bench.policy.untrusted import CARD
 from xmarl_bench.reproducible import one_thread
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.evaluation import Performance, evaluate_policy
@@ -114,7 +113,7 @@ def command(
         Cell(task, agents)  # raises if the task does not take a team of this size
         recipe = recipe_for(task, family=family)
         if start_from is not None:
-            _check_start(start_from, task, agents, family)
+            _check_start(start_from, agents, recipe)
             recipe = recipe.fine_tuning()
         if frames is not None:
             recipe = replace(recipe, frames=frames)
@@ -144,9 +143,10 @@ def train_missing(names: Iterable[str], out: Path, workers: Workers) -> int:
     """Train the policies that are not finished in `out`, each in a process; returns the exit code.
 
     Runs begun earlier are resumed. A failed run does not stop the others; its output is in `out`/NAME.log.
-    Workers on other machines need `out` on a file system that all share.
+    Workers on other machines need `out` on a file system that all share. Raises InputError for an unknown
+    name, and if `out` holds another run of one of these names.
     """
-    missing = [name for name in names if not (out / name / "policy" / CARD).exists()]
+    missing = [name for name in names if finished_bundle(run_named(name), out) is None]
     out.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=True)
     failed = 0
@@ -160,21 +160,20 @@ def train_missing(names: Iterable[str], out: Path, workers: Workers) -> int:
     return 1 if failed else 0
 
 
-def _check_start(folder: Path, task: str, agents: int, family: Family) -> None:
-    """Raises InputError if `folder` is not a run of the same task, team size and family."""
+def _check_start(folder: Path, agents: int, recipe: Recipe) -> None:
+    """Raises InputError if `folder` is not a run of the same task, team size, family and critic."""
     try:
         settings = json.loads((folder / "settings.json").read_bytes())
-        recipe = settings["recipe"]
-        trained = (recipe["task"], settings["n_agents"], recipe["family"])
+        team, began = settings["n_agents"], settings["recipe"]
+        trained = (began["task"], team, began["family"], tuple(began["critic"]))
     except (OSError, ValueError, KeyError, TypeError):
         trained = None
     if trained is None or not (folder / "checkpoint.zip").exists():
         raise InputError(f"{folder} holds no run with a checkpoint: give the folder of a run to start from.")
-    if trained != (task, agents, family):
-        raise InputError(
-            f"{folder} is a run of {trained[0]} with {trained[1]} agents and a {trained[2]} network, not of "
-            f"{task} with {agents} and a {family} one: start from a run of the same task, team and family."
-        )
+    wanted = (recipe.task, agents, recipe.family, recipe.critic)
+    if trained != wanted:
+        there, here = ("{}, {} agents, a {} network, a critic {}".format(*each) for each in (trained, wanted))
+        raise InputError(f"{folder} is a run of {there}, not of {here}: start from a run of the same kind.")
 
 
 def train_and_save(
@@ -202,7 +201,7 @@ def train_and_save(
         initial_seed=run.seed if run.start_from is None else None,
         training={
             **run.settings(),
-            "frames": run.recipe.frames,
+            "frames": trained.frames,
             "cpu_seconds": round(trained.seconds, 1),
             "validation": trained.validation,
             "curve": trained.curve,

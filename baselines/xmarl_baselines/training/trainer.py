@@ -79,6 +79,7 @@ class Trained:
     """The result of a finished run."""
 
     policy: GraphPolicy
+    frames: int  # whole iterations: the recipe's, or a few more
     seconds: float
     validation: Record  # of that policy
     curve: list[Record]  # of all validations
@@ -120,7 +121,7 @@ def train(
     else:
         selection.init_callback(model)
     policy, validation = selection.best()
-    return Trained(policy, seconds, validation, selection.curve())
+    return Trained(policy, model.num_timesteps, seconds, validation, selection.curve())
 
 
 def begin(

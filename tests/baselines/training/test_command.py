@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,7 +10,16 @@ from pathlib import Path
 
 import pytest
 from xmarl_baselines.policies import shipped_policies
-from xmarl_baselines.reference import DOSE_SEEDS, DOSES, SEEDS, SIZES, dose_runs, reference_runs, run_named
+from xmarl_baselines.reference import (
+    DOSE_SEEDS,
+    DOSES,
+    SEEDS,
+    SIZES,
+    dose_runs,
+    finished_bundle,
+    reference_runs,
+    run_named,
+)
 from xmarl_baselines.training.command import command_of, main, train_and_save, train_missing
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.model_selection import weights_at
@@ -192,9 +202,13 @@ def test_a_fine_tuned_policy_does_not_claim_to_start_from_a_seed(
     card = load_card(tmp_path / "discovery-n3-residual-lambda0.1-seed0" / "policy")
     assert (card.initial_seed, card.training["start_from"]) == (None, RUN)
     assert run(*start, "--family", "paper") == 2
-    assert "a residual network, not of blind_discovery_v0 with 3 and a paper one" in capsys.readouterr().err
+    assert "a residual network" in (said := capsys.readouterr().err) and "a paper network" in said
     assert run(*start, "--agents", "4") == 2
-    assert "with 3 agents" in capsys.readouterr().err
+    assert "3 agents" in (said := capsys.readouterr().err) and "not of blind_discovery_v0, 4" in said
+    settings = tmp_path / RUN / "settings.json"
+    settings.write_text(settings.read_text().replace('"critic": [', '"critic": [7, '))
+    assert run(*start) == 2
+    assert "a critic (7, " in capsys.readouterr().err
 
 
 def test_a_shipped_policy_is_reproduced_by_the_run_that_its_card_records() -> None:
@@ -233,14 +247,31 @@ def test_a_worker_that_waits_for_a_training_does_not_import_torch() -> None:
 def test_reproduce_all_trains_missing_runs_and_reports_failures(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    names = [RUN, "passage-n3-residual-lambda0-seed0"]
-    for name in names:  # one is finished, one holds another run
-        (tmp_path / name / "policy").mkdir(parents=True)
-    (tmp_path / names[0] / "policy" / "policy.json").write_text("{}")
-    (tmp_path / names[1] / "settings.json").write_text("{}")
-    assert train_missing(["a", *names], tmp_path, Workers(2)) == 1
+    begun = "passage-n3-residual-lambda0-seed0"
+    shutil.copytree(shipped_policies()[RUN], tmp_path / RUN / "policy")
+    (tmp_path / begun).mkdir()
+    (tmp_path / begun / "settings.json").write_text("{}")  # of another run
+    assert train_missing([RUN, begun], tmp_path, Workers(2)) == 1
     said = capfd.readouterr().err
-    assert "2 of 2" in said and names[0] not in said
-    assert f"{names[1]} FAILED" in said
-    assert "other settings" in (tmp_path / f"{names[1]}.log").read_text()
-    assert "unknown reference policy 'a': choose one of" in (tmp_path / "a.log").read_text()
+    assert "1 of 1" in said and RUN not in said
+    assert f"{begun} FAILED" in said
+    assert "other settings" in (tmp_path / f"{begun}.log").read_text()
+    with pytest.raises(InputError, match="unknown reference policy 'a': choose one of"):
+        train_missing(["a", begun], tmp_path, Workers(2))
+
+
+def test_a_finished_run_of_the_same_name_with_other_settings_is_refused(tmp_path: Path) -> None:
+    run = Run(small("blind_discovery_v0"))
+    assert run.name == RUN
+    train_and_save(run, tmp_path / RUN, resume=False, start_from=None, episodes=1)
+    assert finished_bundle(run, tmp_path) == tmp_path / RUN / "policy"
+    with pytest.raises(InputError, match=f"{RUN}/policy was trained with other settings: give another"):
+        train_missing([RUN], tmp_path, Workers(2))
+
+
+def test_a_card_tells_the_frames_that_were_played(tmp_path: Path) -> None:
+    recipe = small("blind_discovery_v0")
+    iteration = recipe.n_envs * recipe.n_steps
+    run = Run(replace(recipe, frames=iteration + 1))
+    card = train_and_save(run, tmp_path / "run", resume=False, start_from=None, episodes=1)
+    assert card.training["frames"] == card.training["curve"][-1]["frames"] == 2 * iteration

@@ -52,6 +52,7 @@ class Declared(TypedDict, total=False):
     signed: bool
     node_importance: bool | None
     needs_fit: bool
+    any_device: bool
     accesses: Access | None
     absence: Absence | str | None
 

@@ -14,7 +14,7 @@ from xmarl_bench.records.strict_json import MAX_DIGITS, shown
 Scalar = bool | int | float | str | None
 TOO_LARGE: Final[int] = 10**MAX_DIGITS  # of an entry's whole numbers
 Access = Literal["black-box", "attention", "gradients"]
-FLAGS = ("stochastic", "slow", "batched", "binary", "signed", "needs_fit")
+FLAGS = ("stochastic", "slow", "batched", "binary", "signed", "needs_fit", "any_device")
 DECLARATIONS = ("name", "summary", "hyperparameters", "accesses", "absence", "node_importance", *FLAGS)
 
 

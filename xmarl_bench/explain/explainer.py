@@ -54,6 +54,9 @@ class Elsewhere(Protocol):
     ) -> Tensor:
         """(S, N, D) -> (S, N, N): the mask, in [0, 1] unless it is wrong."""
 
+    def on_device(self, device: str, /) -> Elsewhere:
+        """The same explainer, computing there."""
+
     def fit(self, policy: Policy, observations: Tensor, seed: int, /) -> Elsewhere:
         """The explainer fitted to the policy on (S, N, D) observations."""
 
@@ -191,7 +194,10 @@ def on_device(explainer: Explainer, name: str) -> Explainer:
     Raises InputError if the device is unknown or missing.
     """
     device = checked_device(name)
-    return replace(explainer, device=device) if explainer.any_device else explainer
+    if not explainer.any_device:
+        return explainer
+    elsewhere = None if explainer.elsewhere is None else explainer.elsewhere.on_device(device)
+    return replace(explainer, device=device, elsewhere=elsewhere)
 
 
 def _given(explainer: Explainer, policy: Policy, observations: Tensor) -> tuple[Policy, Tensor]:

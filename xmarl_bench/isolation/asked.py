@@ -24,6 +24,7 @@ from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.isolation.conversation import Conversation, Source, conversation, forgotten
 from xmarl_bench.isolation.tensors import Sent
 from xmarl_bench.policy import ActionDistribution, CodeArchitecture, Policy
+from xmarl_bench.policy.device import CPU
 from xmarl_bench.policy.elsewhere import PolicyElsewhere
 from xmarl_bench.policy.interface import NoAttentionError
 
@@ -41,6 +42,7 @@ class Asked:
 
     source: Source
     key: str
+    device: str = CPU  # where the explainer computes
     shipped: bytes | None = None  # pickled; None: the process has loaded its explainer
     fit_on: tuple[Policy, NDArray[np.float32], int] | None = None  # policy, (S, N, D) states, seed
 
@@ -60,6 +62,9 @@ class Asked:
         if shape != [n_steps, n_agents, n_agents] or len(payload) != 4 * n_steps * n_agents**2:
             raise InputError(f"{self.source.name} did not return a mask (S, N, N): correct it.")
         return torch.tensor(np.frombuffer(payload, dtype="<f4").reshape(shape))
+
+    def on_device(self, device: str) -> Asked:
+        return replace(self, device=device)
 
     def fit(self, policy: Policy, observations: Tensor, seed: int) -> Asked:
         """(S, N, D) states -> what asks the fitted explainer. Other processes fit it again."""
@@ -83,7 +88,7 @@ class Asked:
     def _ask(self, what: str, policy: Policy, **question: Any) -> tuple[dict[str, Any], bytes]:
         process = self._process(policy)
         sent = sent_policy(process, policy)
-        return process.ask({"what": what, "shipped": self.shipped, **sent, **question})
+        return process.ask({"what": what, "shipped": self.shipped, "device": self.device, **sent, **question})
 
     def _process(self, policy: Policy) -> Conversation:
         code = policy.source if isinstance(policy, AskedPolicy) else self.source
@@ -123,7 +128,7 @@ class AskedPolicy(PolicyElsewhere):
 
     def taking(self, explainer: Explainer) -> Asked:
         pickled = bytes(cloudpickle.dumps(replace(explainer, simulator=None, fitted_on=None)))
-        return Asked(self.source, hashlib.sha256(pickled).hexdigest(), pickled)
+        return Asked(self.source, hashlib.sha256(pickled).hexdigest(), explainer.device, pickled)
 
     def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
         """Raises InputError: its network passes messages where its code is."""

@@ -29,7 +29,7 @@ from xmarl_bench.records.field_types import Text
 # Fields of an Explainer that are declared under their own names.
 DECLARED = (
     "name", "summary", "stochastic", "slow", "control", "hyperparameters", "batched", "binary", "signed",
-    "node_importance", "absence",
+    "node_importance", "absence", "any_device",
 )  # fmt: skip
 
 
@@ -40,6 +40,7 @@ class Declared(ExplainerRecord):
     summary: Text
     absence: Absence | None
     signed: bool  # type: ignore[assignment]
+    any_device: bool
     key: Text | None
     hyperparameters: Annotated[dict[Text, bool | int | float | Text | None], Field(max_length=100)]
 
@@ -57,7 +58,7 @@ def isolate(explainer: Explainer, isolation: Isolation) -> Explainer:
         explain=_not_here,
         fit=None if explainer.fit is None else _not_here,
         origin=explainer.origin or origin_of_explainer(explainer),
-        elsewhere=Asked(source, key),
+        elsewhere=Asked(source, key, explainer.device),
     )
 
 

@@ -136,6 +136,7 @@ class Worker:
         policy, x = self.policies.get(question["policy"]), torch.tensor(question["observations"])
         seed, key, shipped = question["seed"], question["fitted"], question["shipped"]
         explainer = self.explainer if shipped is None else pickle.loads(shipped)
+        explainer = replace(explainer, device=question["device"])
         with one_thread():
             if question["what"] == "fit":
                 for forgotten in question["fits"]:

@@ -93,7 +93,7 @@ def _explainer_key(explainer: Explainer) -> str:
     if elsewhere is None:
         code = _code_key(replace(explainer, summary="", origin=None))
     else:
-        code = f"elsewhere {elsewhere.key}"
+        code = f"elsewhere {elsewhere.key} on {explainer.device}"
     return _sha256([origin.distribution, origin.version, origin.entry_point, origin.code_sha256, code])
 
 

@@ -17,7 +17,7 @@ import torch
 
 from tests.helpers.policies import random_observations, small_policy
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.explainer import fit_explainer, run_explainer
+from xmarl_bench.explain.explainer import fit_explainer, on_device, run_explainer
 from xmarl_bench.explain.sanity import mask_of_shuffled_weights
 from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.isolation import conversation, landlock, process
@@ -25,6 +25,7 @@ from xmarl_bench.isolation.conversation import Isolation, end_strangers
 from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.isolation.walls import Wall, strongest
 from xmarl_bench.plugins.registry import ask_explainer, find_explainer
+from xmarl_bench.scoring.piece_keys import Keys
 
 # The first observed number chooses what it does.
 CODE = """
@@ -172,6 +173,22 @@ def test_strangers_play_on_in_their_process_too(tmp_path: Path) -> None:
         run_explainer(asked, policy, x, 0)
 
 
+def test_the_device_is_that_of_the_run(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "import torch\nfrom xmarl_bench import as_explainer\n\n@as_explainer(any_device=True)\n"
+        "def mine(observations):\n"
+        "    return torch.full((len(observations), 3, 3), float(observations.device.type == 'meta'))\n"
+    )
+    asked, x = ask_explainer(f"{tmp_path / 'own.py'}:mine"), random_observations(5, 3, 6)
+    there = on_device(asked, "cpu:0")
+    assert (there.device, there.elsewhere) == ("cpu:0", replace(asked.elsewhere, device="cpu:0"))  # type: ignore[type-var]
+    assert Keys().explainer(asked) != Keys().explainer(there)
+    assert asked.elsewhere is not None
+    elsewhere = replace(asked, elsewhere=asked.elsewhere.on_device("meta"))  # where nothing is computed
+    for explainer, seen in ((asked, 0.0), (elsewhere, 1.0)):
+        assert torch.all(run_explainer(explainer, small_policy(6), x, 0) == seen)
+
+
 @pytest.mark.parametrize(
     ("act", "said"),
     [
@@ -222,7 +239,6 @@ def test_code_that_changes_during_a_run_is_refused(tmp_path: Path) -> None:
     file.write_text(CODE + "# more")
     with pytest.raises(InputError, match=r"the code of explainer own.py:stranger has changed since it was"):
         run_explainer(fitted, small_policy(6), states, 0)
-    end_strangers()
 
 
 def test_limits_must_be_above_zero_and_finite() -> None:

@@ -45,8 +45,8 @@ class TeamEnv(gymnasium.Env[Array, NDArray[Any]]):
         if not agents:
             raise ValueError("no episode is under way: call reset first.")
         actions = np.asarray(action)
-        if len(actions) != len(agents):
-            raise ValueError(f"a team of {len(agents)} needs as many actions, got {len(actions)}.")
+        if actions.shape[:1] != (len(agents),):
+            raise ValueError(f"a team of {len(agents)} needs as many actions, got shape {actions.shape}.")
         observations, rewards, terminated, truncated, infos = self._env.step(
             dict(zip(agents, actions, strict=True))
         )

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector import VectorEnv as GymnasiumVectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from xmarl_envs.actions import team_action_space
 from xmarl_envs.episode_seeds import EpisodeSeeds
@@ -88,7 +88,8 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
                 self._episode_seeds[k] = EpisodeSeeds(given)
         return self._begin(begin), {}
 
-    def step(self, actions: NDArray[Any]) -> tuple[Array, Floats, Bools, Bools, Infos]:
+    def step(self, actions: ArrayLike) -> tuple[Array, Floats, Bools, Bools, Infos]:
+        """Also lists and torch's tensors are actions. Those of entries that reset instead are ignored."""
         if not self._begun.all():
             raise ValueError("no episode is under way: call reset first.")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._over.any():
@@ -98,6 +99,9 @@ class TeamVectorEnv(GymnasiumVectorEnv[Array, NDArray[Any], NDArray[Any]]):
             )
         beginning = self._over.copy()  # these reset instead of stepping; none outside mode NEXT_STEP
         played = ~beginning
+        actions = np.asarray(actions)
+        if beginning.any() and actions.shape == self._env.action_shape:
+            actions = np.where(np.expand_dims(played, tuple(range(1, actions.ndim))), actions, 0)
         step = self._env.step(actions, played)
         terminated, truncated = step.terminated & played, step.truncated & played
         ended = terminated | truncated

@@ -44,7 +44,8 @@ class Renderer:
         self._usual, self._reach = self._canvas.half_width, reach
         self._lens = Canvas(1.0, LENS, header=0)
         self._window = window
-        self._screen: pygame.Surface | None = None
+        self._shown: pygame.Window | None = None
+        self._closed = False
         self._clock = pygame.time.Clock()
 
     def draw(self, scene: Scene, mask: ArrayLike | None = None, title: str = "") -> NDArray[np.uint8] | None:
@@ -55,25 +56,32 @@ class Renderer:
         Raises ValueError if the mask has another shape or values outside [0, 1].
         """
         values = None if mask is None else self._checked(mask)
+        if self._closed and self._window:
+            return None
         picture = self._picture(scene, values, title)
         if not self._window:
             return np.ascontiguousarray(pygame.surfarray.array3d(picture).swapaxes(0, 1))
-        if self._screen is None:
+        if self._shown is None:
             pygame.display.init()
-            self._screen = pygame.display.set_mode(picture.get_size())
-            pygame.display.set_caption(self._task.name)
-        # A window that was closed stays closed; the episode goes on without it.
-        if pygame.display.get_init() and not any(e.type == pygame.QUIT for e in pygame.event.get()):
-            self._screen.blit(picture, (0, 0))
-            pygame.display.flip()
-            self._clock.tick(FPS)
-        else:
-            pygame.display.quit()
+            self._shown = pygame.Window(self._task.name, picture.get_size())
+        for event in pygame.event.get():
+            if event.type == pygame.QUIT or (
+                event.type == pygame.WINDOWCLOSE and event.window is self._shown
+            ):
+                self.close()
+                return None
+            if event.type == pygame.WINDOWCLOSE:  # another environment's
+                pygame.event.post(event)
+        self._shown.get_surface().blit(picture, (0, 0))
+        self._shown.flip()
+        self._clock.tick(FPS)
         return None
 
     def close(self) -> None:
-        if self._screen is not None:
-            pygame.display.quit()
+        """Close the window. It stays closed; the episode goes on without it."""
+        if self._shown is not None:
+            self._shown.destroy()
+        self._shown, self._closed = None, True
 
     def _picture(self, scene: Scene, mask: Floats | None, title: str) -> pygame.Surface:
         task, canvas = self._task, self._canvas

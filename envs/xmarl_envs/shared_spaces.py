@@ -80,7 +80,9 @@ class SharedSpaces:
             (slots,) = (occupant >= 0).nonzero()
             inside = occupant[slots]
             offset = space.offset[slots]
-            space.agents[..., 2:] = 0.0  # slots without an episode come to rest
+            # Discs without an episode rest apart: an overlap left there would push the next team.
+            space.agents[occupant < 0, :, :2] = space.parked[occupant < 0]
+            space.agents[..., 2:] = 0.0
             space.agents[slots, :, :2] = position[inside] + offset
             space.agents[slots, :, 2:] = velocity[inside]
             if self._task.n_walls:
@@ -108,7 +110,7 @@ class SharedSpaces:
         if not changing.size:
             return
         leaving, entering = changing[has_slot[changing]], changing[needs_space[changing]]
-        self._occupant[self._slot[leaving]] = FREE
+        self._occupant[self._slot[leaving]] = np.where(self._touched[leaving], COOLING, FREE)
         self._slot[leaving] = NO_SLOT
         free = np.flatnonzero(self._occupant == FREE)
         while free.size < entering.size:

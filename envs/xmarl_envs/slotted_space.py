@@ -23,7 +23,8 @@ CONTACT_CHECKS = 3
 MOVE = TIME_STEP / SUBSTEPS / CONTACT_CHECKS  # s
 VELOCITY_KEPT = 0.75  # per TIME_STEP, VMAS's drag of 0.25
 DAMPING = VELOCITY_KEPT ** (1.0 / (SUBSTEPS * MOVE))  # per s; only the last move of a substep has drag
-COPY_SPACING = 64.0  # m between slots; no agent gets that far in an episode
+COPY_SPACING = 64.0  # m between slots
+TOP_SPEED = TIME_STEP / SUBSTEPS / (1.0 - DAMPING**MOVE)  # m/s per newton of a lasting force
 BORDER_THICKNESS = 0.5  # m
 COLLISION_SLOP = 1e-4  # m; pymunk's default of 0.1 is as large as an agent
 PUSH = np.array(float(CONTACT_CHECKS))  # an array: numpy takes twice as long with a Python float
@@ -42,6 +43,7 @@ class SlottedSpace:
         offset: (n_slots, 1, 2) m.
         agents: (n_slots, N, 4) position (m) and velocity (m/s) that `write` sets.
         walls: (n_slots, W, 4) the same for the walls, which do not move by themselves.
+        parked: (n_slots, N, 2) m, where the agents of unused slots lie.
         position, velocity: (n_slots, N, 2) m and m/s of the agents after the last `step`.
     """
 
@@ -66,6 +68,7 @@ class SlottedSpace:
         self.agents[..., 0] = self.offset[..., 0] + 3 * task.radius * np.arange(task.n_agents)
         self.agents[..., 1] = self.offset[..., 1] + COPY_SPACING / 4
         self.walls[..., :2] = self.offset - COPY_SPACING / 4
+        self.parked = self.agents[..., :2].copy()
         self.renew()
         # Pymunk allocates its output memory at the first read. The number of bodies never changes, so the
         # views below stay valid.

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xmarl_envs.actions import action_shape, pushes
 from xmarl_envs.task import Bools, Floats, State, Step, Task, distance
-from xmarl_envs.world import World
+from xmarl_envs.world import World, most_cycles
 
 
 class VectorEnv:
@@ -36,6 +36,12 @@ class VectorEnv:
         self.max_cycles = task.default_max_cycles if max_cycles is None else index(max_cycles)
         if self.max_cycles < 1:
             raise ValueError(f"max_cycles must be at least 1, got {max_cycles}.")
+        if copies_per_space > 1 and self.max_cycles > (most := most_cycles(task)):
+            raise ValueError(
+                f"episodes of {task.name} with copies_per_space above 1 may have at most {int(most)} cycles, "
+                f"in which agents cannot reach another copy, got max_cycles={self.max_cycles}: choose fewer, "
+                f"or copies_per_space=1."
+            )
         self.world = World(task, n_episodes, copies_per_space)
         self.cycles: NDArray[np.int64] = np.zeros(n_episodes, dtype=np.int64)
         n_agents = task.n_agents

@@ -8,15 +8,24 @@ a crowd amplifies, because there the order of contacts matters.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from xmarl_envs.separate_spaces import SeparateSpaces
 from xmarl_envs.shared_spaces import SharedSpaces
-from xmarl_envs.slotted_space import MOVE, TIME_STEP, VELOCITY_KEPT
+from xmarl_envs.slotted_space import COPY_SPACING, MOVE, TIME_STEP, TOP_SPEED, VELOCITY_KEPT
 from xmarl_envs.task import Bools, Floats, Task
 
-__all__ = ["MOVE", "TIME_STEP", "VELOCITY_KEPT", "World"]
+__all__ = ["MOVE", "TIME_STEP", "VELOCITY_KEPT", "World", "most_cycles"]
+
+
+def most_cycles(task: Task) -> float:
+    """The most cycles in a shared Space: in a longer episode agents could meet those of another copy."""
+    if task.bound is not None:
+        return math.inf
+    return (COPY_SPACING / 2 - task.spawn_half_width) / (TOP_SPEED * task.u_mult * TIME_STEP)
 
 
 class World:

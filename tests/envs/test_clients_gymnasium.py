@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils import performance
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
@@ -63,8 +64,9 @@ def test_a_team_needs_an_episode_and_an_action_per_agent() -> None:
     with pytest.raises(ValueError, match="no episode is under way: call reset first"):
         env.step(np.zeros((N_AGENTS, 2)))
     env.reset(seed=0)
-    with pytest.raises(ValueError, match="a team of 3 needs as many actions, got 2"):
-        env.step(np.zeros((2, 2)))
+    for wrong in (np.zeros((2, 2)), np.float64(1.0)):
+        with pytest.raises(ValueError, match="a team of 3 needs as many actions, got shape"):
+            env.step(wrong)
 
 
 @pytest.mark.slow
@@ -195,3 +197,18 @@ def test_invalid_arguments_are_refused_with_a_reason() -> None:
         ValueError, match=r"the episodes of entries \[0, 1, 2, 3, 4\] are over: begin new ones"
     ):
         env.step(np.zeros((NUM_ENVS, N_AGENTS, 2), np.float32))
+
+
+def test_lists_and_tensors_are_actions_and_those_of_entries_that_reset_are_ignored() -> None:
+    """As in Gymnasium's vector environments."""
+    task = make_task("blind_navigation_v0", 2)
+    env, again = (TeamVectorEnv(task, 2, max_cycles=3) for _ in range(2))
+    env.reset(seed=0)
+    again.reset(seed=0)
+    actions = np.full((2, 2, 2), 0.5, dtype=np.float32)
+    for given in (actions.tolist(), torch.tensor(actions), actions):
+        np.testing.assert_array_equal(env.step(given)[0], again.step(actions)[0])
+    nowhere = np.full_like(actions, np.nan)  # the third step was the last: both entries begin anew
+    np.testing.assert_array_equal(env.step(nowhere)[0], again.step(actions)[0])
+    with pytest.raises(ValueError, match="must be finite numbers"):
+        env.step(nowhere)

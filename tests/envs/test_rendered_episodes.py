@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from typing import Any, ClassVar
 
 import numpy as np
 import pygame
@@ -63,15 +64,50 @@ def test_pictures_depend_only_on_the_episode() -> None:
     np.testing.assert_array_equal(first, rendered(env))
 
 
-def test_a_closed_window_stays_closed_and_the_episode_continues() -> None:
-    env = TaskParallelEnv(make_task("blind_navigation_v0", 1), render_mode="human")
-    env.reset(seed=0)
-    assert pygame.display.get_init()
+class Window(pygame.Window):
+    """Counts the pictures that it shows."""
+
+    opened: ClassVar[list[Window]] = []
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.opened.append(self)
+        self.n_shown, self.is_open = 0, True
+
+    def flip(self) -> None:
+        super().flip()
+        self.n_shown += 1
+
+    def destroy(self) -> None:
+        super().destroy()
+        self.is_open = False
+
+
+def test_windows_are_closed_one_by_one_and_the_episodes_continue(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pygame, "Window", Window)
+    monkeypatch.setattr(Window, "opened", [])
+    envs = [TaskParallelEnv(make_task("blind_navigation_v0", 1), render_mode="human") for _ in range(3)]
+
+    def shown_by_a_step() -> list[int]:
+        before = [each.n_shown for each in Window.opened]
+        for env in envs:
+            env.step({"agent_0": np.ones(2, dtype=np.float32)})
+        return [each.n_shown - n for each, n in zip(Window.opened, before, strict=True)]
+
+    for env in envs:
+        env.reset(seed=0)
+    assert shown_by_a_step() == [1, 1, 1]
+    pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=Window.opened[1]))
+    shown_by_a_step()
+    assert [shown_by_a_step() for _ in range(2)] == [[1, 0, 1]] * 2
+    envs.pop(0).close()
+    assert shown_by_a_step() == [0, 0, 1]
+    assert [each.is_open for each in Window.opened] == [False, False, True]
     pygame.event.post(pygame.event.Event(pygame.QUIT))
-    for _ in range(2):
-        env.step({"agent_0": np.ones(2, dtype=np.float32)})
-        assert not pygame.display.get_init()
-    env.close()
+    assert [shown_by_a_step() for _ in range(2)][1] == [0, 0, 0]
+    for env in envs:
+        env.close()
+    assert not any(each.is_open for each in Window.opened)
 
 
 @pytest.mark.slow

@@ -82,6 +82,25 @@ def test_an_episode_does_not_depend_on_the_one_before(n_agents: int) -> None:
     assert n_compared > 16
 
 
+@pytest.mark.parametrize("name", ["blind_navigation_v0", "blind_discovery_v0"])
+def test_the_next_team_in_a_slot_is_not_pushed_by_the_overlap_of_the_last(name: str) -> None:
+    """Two discs away from walls are no crowd: they move as in their own Space, whatever others do."""
+    task = make_task(name, 2)
+    own, shared = VectorEnv(task, 64), VectorEnv(task, 64, copies_per_space=64)
+    own.reset(range(64))
+    shared.reset(range(64))
+    for cycle in range(60):
+        position = own.state.position
+        action = np.clip(5 * (position.mean(axis=1, keepdims=True) - position), -1, 1)
+        action[:, 1] *= 0.5  # so that they press on one another
+        own.step(action)
+        shared.step(action)
+        assert np.abs(own.state.position - shared.state.position).max() < 1e-9
+        again = [k for k in range(1, 64, 2) if 20 + k % 20 == cycle]
+        for env in (own, shared):
+            env.reset([1000 + k for k in again], again)
+
+
 @tasks
 def test_the_same_batch_repeats_bit_for_bit(name: str) -> None:
     ends = []

@@ -146,6 +146,16 @@ def test_an_empty_batch_is_refused(n_episodes: int, copies: int) -> None:
         VectorEnv(make_task("blind_navigation_v0", 3), n_episodes, copies_per_space=copies)
 
 
+def test_episodes_in_which_agents_could_reach_another_copy_are_refused() -> None:
+    """At full speed, 0.373 m/s, from the corner at 1 m to the middle between copies, at 32 m: 831 cycles."""
+    task = make_task("blind_navigation_v0", 2)
+    VectorEnv(task, 4, 830, copies_per_space=4)
+    VectorEnv(task, 4, 10**6)
+    VectorEnv(make_task("blind_discovery_v0", 2), 4, 10**6, copies_per_space=4)  # has a border
+    with pytest.raises(ValueError, match="may have at most 830 cycles"):
+        VectorEnv(task, 4, 831, copies_per_space=4)
+
+
 @tasks
 def test_an_episode_restarted_in_the_middle_goes_on_to_the_bit(name: str) -> None:
     """While nothing touches: a Space then holds nothing but positions and velocities."""

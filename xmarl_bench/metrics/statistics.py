@@ -27,6 +27,7 @@ from xmarl_bench.metrics.student import (
     CONFIDENCE,
     Design,
     interval_of,
+    is_zero,
     mean_of,
     n_independent,
     standard_error,
@@ -94,7 +95,10 @@ def over_units(a: Sequence[ArrayLike], b: Sequence[ArrayLike], *, design: Design
 
 def over_samples(a: ArrayLike, b: ArrayLike, *, confidence: float = CONFIDENCE) -> Difference:
     """Mean of a less mean of b, of independent samples of units: Student's interval with Welch's degrees of
-    freedom."""
+    freedom.
+
+    Samples without any spread have the p of the permutation test, and an interval only if that decides.
+    """
     from scipy.special import stdtr, stdtrit
 
     x, y = _numbers(a), _numbers(b)
@@ -106,8 +110,13 @@ def over_samples(a: ArrayLike, b: ArrayLike, *, confidence: float = CONFIDENCE) 
         return Difference(value, None, None, n, n, n_nan)
     squares = [float(standard_error(each)) ** 2 for each in (x, y)]
     error = math.sqrt(sum(squares))
-    if error == 0.0:
-        return Difference(value, (value, value), float(value == 0.0), n, n, n_nan)
+    if is_zero(np.append(x - x[0], y - y[0]), abs(value)):
+        if is_zero(x[:1] - y[:1]):
+            return Difference(value, (value, value), 1.0, n, n, n_nan)
+        p = 2.0 / math.comb(n, x.size)  # all of one sample are above all of the other
+        if p >= 1.0 - confidence:
+            return Difference(value, None, None, n, n, n_nan)
+        return Difference(value, (value, value), p, n, n, n_nan)
     freedom = sum(squares) ** 2 / sum(
         each**2 / (size - 1) for each, size in zip(squares, (x.size, y.size), strict=True)
     )

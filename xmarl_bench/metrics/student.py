@@ -5,8 +5,9 @@ a cluster, which counts as one training. A mean over several cells is the mean o
 trainings in a cell narrow its interval and do not change the cell's weight. Deviations are from the mean over
 all cells, so the interval of such a mean is wide for these cells, and says nothing of other tasks.
 
-Units that are all equal, and not 0, do not show how units spread: rates of few episodes are often equal by
-chance. Then p is of the sign test, and there is an interval only if that test decides, from six units on.
+Units that are all equal up to rounding, and not 0, do not show how units spread: rates of few episodes are
+often equal by chance. Then p is of the sign test, and there is an interval only if that test decides, from
+six units on. Clusters count as equal if their means are.
 
 Sources: Student (1908); Liang and Zeger (1986), clusters; Kish (1965), effective number; Arbuthnot (1710),
 sign test.
@@ -26,6 +27,7 @@ from xmarl_bench.errors import InputError
 
 Floats = NDArray[np.float64]
 CONFIDENCE = 0.95
+ROUNDING = 1e-9  # of sums in another order, and of entries; relative to values above 1
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,8 @@ def interval_of(
 ) -> tuple[float, float] | None:
     """(U,) -> `student_interval`; None for fewer than two independent units, or few that are all equal."""
     n = n_independent(units, design)
-    if n < 2 or (_equal(units) and units[0] != 0.0 and _sign_test(n) >= 1.0 - confidence):
+    decided = is_zero(units) or _sign_test(n) < 1.0 - confidence
+    if n < 2 or (_equal(units, design) and not decided):
         return None
     low, high = student_interval(units, confidence, design=design)
     return float(low), float(high)
@@ -104,8 +107,8 @@ def student_p(units: Floats, *, design: Design | None = None) -> Floats:
     mean, error, freedom = _student(units, design)
     with np.errstate(divide="ignore", invalid="ignore"):
         p = 2.0 * stdtr(freedom, -np.abs(mean) / error)
-    alike = np.where(units[..., 0] == 0.0, 1.0, _sign_test(n_independent(units, design)))
-    return np.asarray(np.where(_equal(units), alike, p))
+    alike = np.where(is_zero(units), 1.0, _sign_test(n_independent(units, design)))
+    return np.asarray(np.where(_equal(units, design), alike, p))
 
 
 def mean_of(units: Floats, design: Design | None) -> Floats:
@@ -133,18 +136,27 @@ def _student(units: Floats, design: Design | None) -> tuple[Floats, Floats, floa
     """
     mean = mean_of(units, design)
     if design is None:
-        return mean, np.where(_equal(units), 0.0, standard_error(units)), units.shape[-1] - 1.0
+        return mean, np.where(_equal(units, None), 0.0, standard_error(units)), units.shape[-1] - 1.0
     weights, members = design.weights, design.members
     sums = ((units - mean[..., None]) * weights) @ members
     shares = weights @ members
     square, cube = float(np.square(shares).sum()), float((shares**3).sum())
     error = np.sqrt(np.square(sums).sum(axis=-1) * square / (square - 2.0 * cube + square**2))
-    return mean, np.where(_equal(units), 0.0, error), 1.0 / square - 1.0
+    return mean, np.where(_equal(units, design), 0.0, error), 1.0 / square - 1.0
 
 
-def _equal(units: Floats) -> NDArray[np.bool_]:
-    """(..., U) -> (...): whether all units are equal; then deviations from their mean are rounding."""
-    return np.asarray((units == units[..., :1]).all(axis=-1))
+def _equal(units: Floats, design: Design | None) -> NDArray[np.bool_]:
+    """(..., U) -> (...): whether all units, or the means of clusters, are equal up to rounding."""
+    means = units
+    if design is not None:
+        weights, members = design.weights, design.members
+        means = (units * weights) @ members / (weights @ members)
+    return is_zero(means - means[..., :1], np.abs(units).max(axis=-1))
+
+
+def is_zero(values: Floats, scale: Floats | float = 0.0) -> NDArray[np.bool_]:
+    """(..., U) -> (...): whether all values are 0 up to the rounding of numbers of that scale."""
+    return np.asarray(np.abs(values).max(axis=-1) <= ROUNDING * np.maximum(1.0, scale))
 
 
 def _sign_test(n: int) -> float:

@@ -59,7 +59,7 @@ def like(
 
 @pytest.mark.slow
 def test_a_comparison_by_hand(entry: Entry) -> None:
-    worse, better = [0.1, 0.2, 0.3, 0.4], [0.35, 0.45, 0.55, 0.65]
+    worse, better = [0.1, 0.2, 0.3, 0.4], [0.34, 0.46, 0.54, 0.66]
     blocks = blocks_of([like(entry, "worse", worse), like(entry, "better", better)])
     comparison = compare(blocks, "fid_delta")
     assert [each.explainer for each in comparison.standings] == ["better", "worse"]
@@ -67,12 +67,13 @@ def test_a_comparison_by_hand(entry: Entry) -> None:
     (pair,) = comparison.pairs
     assert (pair.first, pair.second) == ("better", "worse")
     assert pair.difference.value == pytest.approx(0.25)
-    assert pair.difference.interval == pytest.approx((0.25, 0.25))  # paired, and the same in every episode
-    assert pair.improvement == 15 / 16  # of 16 pairs of episodes, all but 0.35 < 0.4
+    half = 3.182446 * (4 * 0.01**2 / 3 / 4) ** 0.5  # paired differences are 0.24 and 0.26
+    assert pair.difference.interval == pytest.approx((0.25 - half, 0.25 + half))
+    assert pair.improvement == 15 / 16  # of 16 pairs of episodes, all but 0.34 < 0.4
     assert pair.p_holm == pair.difference.p
     assert comparison.standings[0].iqm == pytest.approx(0.5)
     profile = comparison.standings[0].profile  # over the episodes of a single policy
-    assert (profile.taus, profile.shares) == ((0.35, 0.45, 0.55, 0.65), (1.0, 0.75, 0.5, 0.25, 0.0))
+    assert (profile.taus, profile.shares) == ((0.34, 0.46, 0.54, 0.66), (1.0, 0.75, 0.5, 0.25, 0.0))
     assert compare(blocks, "gef").pairs[0].improvement == 15 / 16  # of "worse", because lower is better
     assert [each.explainer for each in compare(blocks, "gef").standings] == ["worse", "better"]
 

@@ -26,7 +26,7 @@ from xmarl_bench.metrics.statistics import (
     probability_of_improvement,
     rank_biserial,
 )
-from xmarl_bench.metrics.student import Design, student_interval, student_p
+from xmarl_bench.metrics.student import Design, interval_of, student_interval, student_p
 
 P_VALUES = arrays(np.float64, st.integers(1, 12), elements=st.floats(0, 1))
 
@@ -43,6 +43,22 @@ def test_differences_that_are_all_equal_have_the_p_of_the_sign_test() -> None:
     assert over_units([a], [a]) == Difference(0.0, (0.0, 0.0), 1.0, 6, 6, 0)
     assert over_units([a[:2]], [a[:2]]) == Difference(0.0, (0.0, 0.0), 1.0, 2, 2, 0)
     np.testing.assert_array_equal(student_p(np.array([[0.1] * 3, [0.0] * 3, [-7.0] * 3])), [0.25, 1.0, 0.25])
+    # Sums of the same numbers in another order are equal up to rounding.
+    sums = [[0.1, 0.2, 0.3], [0.3, 0.2, 0.1], [0.2, 0.3, 0.1]]
+    means = np.array([sum(each) / 3 for each in sums])
+    assert len(set(means)) > 1
+    assert student_p(means) == 0.25
+    assert student_p(means - 0.2) == 1.0
+
+
+def test_clusters_whose_means_are_equal_decide_nothing() -> None:
+    """Two trainings with two policies each, of the same mean: their spread is not known."""
+    pairs = Design(clusters=("a", "a", "b", "b"))
+    for units in ([0.0, 0.1, 0.0, 0.1], [0.05] * 4):
+        assert interval_of(np.array(units), design=pairs) is None
+        assert student_p(np.array(units), design=pairs) == 0.5
+    assert interval_of(np.array([-0.1, 0.1, -0.1, 0.1]), design=pairs) is None
+    assert interval_of(np.zeros(4), design=pairs) == (0.0, 0.0)
 
 
 @pytest.mark.slow
@@ -89,7 +105,11 @@ def test_independent_samples_are_compared_as_scipy_does_by_welch() -> None:
     assert ours.interval == pytest.approx(tuple(theirs.confidence_interval(0.95)))
     assert ours.p == pytest.approx(theirs.pvalue)
     assert (ours.units, ours.n_nan) == (42, 1)
-    assert over_samples([1.0, 1.0], [0.5, 0.5]) == Difference(0.5, (0.5, 0.5), 0.0, 4, 4, 0)
+    assert over_samples([1.0, 1.0], [0.5, 0.5]) == Difference(0.5, None, None, 4, 4, 0)
+    assert over_samples([1.0] * 5, [0.5] * 5) == Difference(
+        0.5, (0.5, 0.5), pytest.approx(2 / 252), 10, 10, 0
+    )
+    assert over_samples([1 / 3] * 2, [1 / 3 + 1e-16] * 2).p == 1.0
     assert over_samples([1.0], [0.5, 0.5]).interval is None
     assert over_samples([np.nan], [1.0]) == Difference(None, None, None, 0, 1, 1)
 

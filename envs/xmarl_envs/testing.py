@@ -60,6 +60,8 @@ def check_task(task: type[Task] | Callable[..., Any], *, seed: int = 0, **option
     """
     with _quiet_and_without_screen():
         if isinstance(task, type) and issubclass(task, Task):
+            with promise(task.__name__, "it has a `name`"):
+                assert isinstance(getattr(task, "name", None), str), "it has none"
             make: Make = partial(make_constructors(task).parallel_env, **options)
             rules = task(**options)
             _check_team_sizes(task, seed, **options)

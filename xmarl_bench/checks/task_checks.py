@@ -101,6 +101,12 @@ def told(metric: str) -> Callable[[TaskSubject], str]:
         values = np.array([getattr(episode, metric) for episode in subject.together])
         if np.isnan(values).all():
             raise NotApplicable("infos do not tell it: null in entries.")
+        n_told = np.count_nonzero(~np.isnan(values))
+        if n_told < values.size:
+            raise Failed(
+                f"told in {n_told} of {values.size} episodes, and means are over these: tell it in every "
+                f"episode, whether True or False."
+            )
         return f"{np.nanmean(values):.2f} by random actions"
 
     return check

@@ -113,7 +113,7 @@ def _print(comparison: Comparison) -> None:
                 "pair": f"{pair.first} - {pair.second}",
                 "difference": _number(pair.difference.value),
                 "95 %": _interval(pair.difference),
-                "P(better)": f"{pair.improvement:.2f}",
+                "P(better)": "-" if pair.improvement is None else f"{pair.improvement:.2f}",
                 "p": "-" if pair.difference.p is None else f"{pair.difference.p:.2g}",
                 "Holm": "-" if pair.p_holm is None else f"{pair.p_holm:.2g}",
             }

@@ -9,6 +9,7 @@ same weight.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -56,7 +57,8 @@ class Pair:
     first: str
     second: str
     difference: Difference  # first - second, paired
-    improvement: float  # probability that a run of the first is better than one of the second in its cell
+    # Probability that a run of the first is better than one of the second in its cell; None without numbers.
+    improvement: float | None
     p_holm: float | None  # None for a single unit
 
 
@@ -121,14 +123,19 @@ def compare(blocks: Blocks, metric: str) -> Comparison:
 
 def _scores(values: Sequence[Floats]) -> Floats:
     """Means of the policies, or the episodes of a single policy."""
-    return values[0] if len(values) == 1 else np.array([np.nanmean(each) for each in values])
+    return values[0] if len(values) == 1 else np.array([_mean(each) for each in values])
+
+
+def _mean(values: Floats) -> float:
+    """NaN without a number."""
+    return float(np.nanmean(values)) if (~np.isnan(values)).any() else math.nan
 
 
 def _runs(blocks: Blocks, explainer: str, values: Sequence[Floats], sign: float) -> dict[str, list[float]]:
     """Cell -> means of its policies, or the episodes of a single policy. Higher is better."""
     runs: dict[str, list[float]] = {}
     for (cell, _), each in zip(blocks[explainer].values(), values, strict=True):
-        mean = sign * (each if len(values) == 1 else np.nanmean(each, keepdims=True))
+        mean = sign * (each if len(values) == 1 else np.array([_mean(each)]))
         runs.setdefault(f"{cell.task}, {cell.n_agents} agents", []).extend(mean[~np.isnan(mean)].tolist())
     return runs
 

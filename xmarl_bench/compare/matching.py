@@ -74,26 +74,34 @@ def shared_states(entries: Sequence[Entry]) -> list[Entry]:
     """The entries on states that all explainers share.
 
     If a policy and cell have several such protocols, as when slow explainers are scored on fewer states,
-    those of the protocol with most timesteps. Raises InputError if no states are shared.
+    those of the protocol with most timesteps. Raises InputError if no states are shared, or if several
+    protocols have as many timesteps, as of two seeds.
     """
     explainers = {entry.explainer.name for entry in entries}
     by_states: dict[tuple[bytes, ...], list[Entry]] = {}
     for entry in entries:
         by_states.setdefault(tuple(_states(entry, cell) for cell in entry.results), []).append(entry)
-    largest: dict[tuple[str, tuple[tuple[str, int], ...]], list[Entry]] = {}
+    shared: dict[tuple[str, tuple[tuple[str, int], ...]], list[list[Entry]]] = {}
     for same in by_states.values():
         if {entry.explainer.name for entry in same} != explainers:
             continue
         where = same[0].policy.name, tuple((cell.task, cell.n_agents) for cell in same[0].results)
-        known = largest.get(where)
-        if known is None or same[0].cost.explained_timesteps > known[0].cost.explained_timesteps:
-            largest[where] = same
-    if not largest:
+        shared.setdefault(where, []).append(same)
+    if not shared:
         raise InputError(
             f"{', '.join(sorted(explainers))} have no states in common: score them on the same policies, "
             f"episodes and timesteps."
         )
-    return [entry for same in largest.values() for entry in same]
+    found = []
+    for (policy, _), candidates in shared.items():
+        timesteps = [same[0].cost.explained_timesteps for same in candidates]
+        if timesteps.count(max(timesteps)) > 1:
+            raise InputError(
+                f"all of these explainers were scored on {policy} more than once, on different states: "
+                f"compare one folder of results, or entries of one seed."
+            )
+        found += candidates[timesteps.index(max(timesteps))]
+    return found
 
 
 def blocks_of(entries: Sequence[Entry]) -> Blocks:

@@ -58,7 +58,20 @@ OF_CATEGORICALS: Final[dict[str, str]] = {
     **{metric.name: metric.of_categoricals for metric in METRICS if metric.of_categoricals is not None},
 }
 
+# Definitions that differ if actions are Normals without a tanh (stable-baselines3, some of BenchMARL).
+OF_NORMALS: Final[dict[str, str]] = {
+    "F(m)": "action loc, clipped to [-1, 1], with the message on edge j -> i scaled by m[i, j] after the "
+    "softmax, nothing renormalised",
+    **{
+        metric.name: metric.definition.replace(" under the tanh", "")
+        for metric in METRICS
+        if metric.definition is not None and " under the tanh" in metric.definition
+    },
+}
+
+_OTHER_DEFINITIONS: Final = {"categorical": OF_CATEGORICALS, "normal": OF_NORMALS}
+
 
 def definitions(distribution: DistributionKind) -> dict[str, str]:
     """The definitions of the numbers of an entry, for its policy's distribution of actions."""
-    return DEFINITIONS | OF_CATEGORICALS if distribution == "categorical" else DEFINITIONS
+    return DEFINITIONS | _OTHER_DEFINITIONS.get(distribution, {})

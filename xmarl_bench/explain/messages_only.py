@@ -19,6 +19,7 @@ from xmarl_bench.explain.control_names import MESSAGES_ONLY
 from xmarl_bench.explain.effect import NORMALISER, signed_to_unit
 from xmarl_bench.explain.explainer import Explain, Explainer, Fit, explain_of
 from xmarl_bench.explain.node_importance import as_edge_masks
+from xmarl_bench.explain.pyg import PygExplain
 from xmarl_bench.explain.returned_mask import as_floats, finite
 from xmarl_bench.policy import ActionDistribution, Policy
 
@@ -64,10 +65,15 @@ def messages_only(thing: object) -> Explainer:
     """The explainer, or anything that `as_explainer` accepts, as `NAME-messages`; its masks have own edges 1.
 
     For batched explainers that call `decode` with masks, as all shipped ones except attention's do. Raises
-    InputError if the explainer is not batched, because it then uses the network itself, if it simulates, and
-    where `as_explainer` does.
+    InputError for algorithms of PyG and explainers that are not batched, which use the network itself, for
+    one that simulates, and where `as_explainer` does.
     """
     explainer = as_explainer(thing)
+    if isinstance(explainer.explain, PygExplain):
+        raise InputError(
+            f"explainer {explainer.name!r} is an algorithm of torch_geometric, which masks the network's own "
+            f"layers: it cannot be kept from explaining own edges."
+        )
     if not explainer.batched:
         raise InputError(
             f"explainer {explainer.name!r} is called for one timestep at a time, with the network: make it "

@@ -25,7 +25,7 @@ from typing import Any
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.fork_server import fork_keeper
 from xmarl_bench.isolation.limits import UNIX, Limits
-from xmarl_bench.isolation.walls import Wall, environment, in_bubblewrap, python_folders
+from xmarl_bench.isolation.walls import STRANGER, Wall, environment, in_bubblewrap, python_folders
 from xmarl_bench.records.strict_json import parse_json, shown
 
 MAX_HEADER, MAX_MASKS = 1024 * 1024, 1 << 30
@@ -53,6 +53,11 @@ class Stranger:
                 f"process (--no-isolate, isolate=False)."
             )
         self.name, self.limits = shown(name, 200)[1:-1], limits
+        if STRANGER in os.environ:  # its process would load the same code, and so on without end
+            raise InputError(
+                f"the code of {self.name} scores while it is loaded: put what runs it under "
+                f'`if __name__ == "__main__":`.'
+            )
         folders = [*python_folders(), *readable]
         stranger = {
             "name": self.name,

@@ -59,6 +59,9 @@ def python_folders() -> list[Path]:
     return found + [Path(entry) for entry in search_path() if Path(entry).exists()]
 
 
+STRANGER = "XMARL_BENCH_STRANGER"  # the environment variable of processes of third-party code
+
+
 def search_path() -> list[str]:
     """The folders that modules are imported from, absolute."""
     return [str(Path(entry).absolute()) for entry in sys.path if entry]
@@ -77,4 +80,5 @@ def environment(wall: Wall) -> dict[str, str]:
         "PYTHONPATH": os.pathsep.join(search_path()),
         "OMP_NUM_THREADS": "1",
         "PYTHONDONTWRITEBYTECODE": "1",
+        STRANGER: "1",
     }

@@ -1,8 +1,8 @@
 """Do two masks rank the senders alike? Compares seeds, and a policy with one of random weights.
 
 Spearman's correlation of the senders' ranks within each receiver's row (ties share their mean rank), pooled
-over receivers and timesteps as a ratio of sums: a constant row has weight 0, instead of making the whole
-undefined.
+over receivers and timesteps as a ratio of sums: a row that is constant in both masks has weight 0, instead of
+making the whole undefined. One that is constant in one mask lowers the correlation.
 
 Sources: Adebayo et al., "Sanity Checks for Saliency Maps" (NeurIPS 2018), for the comparison with randomised
 weights; Agarwal et al. (GraphXAI, 2023) for stability.

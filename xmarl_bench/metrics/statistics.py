@@ -180,13 +180,16 @@ def interquartile_mean(x: ArrayLike) -> float:
     return float(ordered[cut : ordered.size - cut].mean()) if ordered.size else math.nan
 
 
-def probability_of_improvement(a: Mapping[str, Sequence[float]], b: Mapping[str, Sequence[float]]) -> float:
+def probability_of_improvement(
+    a: Mapping[str, Sequence[float]], b: Mapping[str, Sequence[float]]
+) -> float | None:
     """Cell -> scores of its runs, for two competitors: P(a run of a beats a run of b), ties count half.
 
-    Mean over cells of all pairs of runs within a cell.
+    Mean over cells of all pairs of runs within a cell; None if no cell has runs of both.
     """
-    shares = [np.mean([(x > y) + 0.5 * (x == y) for x in runs for y in b[cell]]) for cell, runs in a.items()]
-    return float(np.mean(shares))
+    both = [(runs, b[cell]) for cell, runs in a.items() if runs and b[cell]]
+    shares = [np.mean([(x > y) + 0.5 * (x == y) for x in ours for y in theirs]) for ours, theirs in both]
+    return float(np.mean(shares)) if shares else None
 
 
 def groups_by_head(n: int, tied: Callable[[int, int], bool]) -> list[int]:

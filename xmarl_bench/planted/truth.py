@@ -1,7 +1,7 @@
 """How well a mask finds the relevant messages: its ranking against a planted truth.
 
-Both metrics rank the other agents within a receiver's row, count ties half, and average over receivers and
-timesteps. Definitions as in scikit-learn. N is the number of agents, S of timesteps.
+Both metrics rank the other agents within a receiver's row and average over receivers and timesteps. AUROC
+counts ties half. Definitions as in scikit-learn. N is the number of agents, S of timesteps.
 """
 
 from __future__ import annotations

@@ -89,7 +89,6 @@ class Worker:
         from xmarl_bench.plugins.registry import find_explainer
 
         name = question.get("explainer")
-        self.name = f"explainer {name!r}"
         self.explainer = pickle.loads(question["pickled"]) if name is None else find_explainer(name)
         self.name = f"explainer {self.explainer.name!r}"
         if name is None:

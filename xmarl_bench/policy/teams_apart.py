@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import raw_width
 from xmarl_bench.policy.distribution import action_distribution
 from xmarl_bench.policy.elsewhere import PolicyElsewhere
@@ -69,6 +70,11 @@ class _AllAtOnce:
 
     @one_thread()  # several threads would share out teams, and round by their number
     def __call__(self, observation: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor]:
+        if observation.shape[-1] != self.architecture.obs_dim:  # padding would hide it
+            raise InputError(
+                f"the policy takes observations of {self.architecture.obs_dim} entries, got "
+                f"{observation.shape[-1]}: choose a policy trained for this task."
+            )
         x = self.encoder(_filled(observation))
         message, receiver = self.message(x), self.receiver(x)
         pair = F.leaky_relu(receiver[:, :, None] + message[:, None, :], self.slope)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from xmarl_bench.board.build import ANIMATIONS, animation_name
-from xmarl_bench.entry.file import read_entry
+from xmarl_bench.entry.file import entry_files, read_entry
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.plugins.names import find_policy
@@ -26,7 +26,7 @@ Played = dict[tuple[object, ...], Recording]
 def draw_missing(folder: Path) -> Iterator[str]:
     """Draw the animations missing in FOLDER/animations/. Yields a line for each, or why there is none."""
     played: Played = {}  # the last policy's episode, which its explainers share: files are sorted by policy
-    for file in sorted((folder / "entries").glob("*.json")):
+    for file in entry_files(folder / "entries").entries:
         entry = read_entry(file)
         path = folder / ANIMATIONS / animation_name(entry)
         if path.exists():

@@ -17,7 +17,7 @@ from xmarl_bench.metrics.table import Group, Need, metrics_of
 from xmarl_bench.policy import Policy
 from xmarl_bench.policy.teams_apart import step_teams
 from xmarl_bench.reproducible import one_thread, torch_defaults
-from xmarl_bench.rollout.cell import Cell
+from xmarl_bench.rollout.cell import Cell, check_parallel
 from xmarl_bench.tasks.interface import TeamTask
 
 Floats = NDArray[np.float32]
@@ -80,8 +80,10 @@ def roll_out(
 
     Each episode has a physics or an environment of its own, and teams act apart (`policy.teams_apart`). An
     episode depends on (task, N, seed, policy) alone: the result is the same, bit for bit, for any
-    `parallel_episodes`.
+    `parallel_episodes`. Raises InputError if that is no whole number from 1 on, and for a policy of another
+    task.
     """
+    check_parallel(parallel_episodes)
     start, choose = initial_state(policy, task.n_agents), chooser(policy, mask)
 
     def act(observation: Floats, slots: Sequence[int]) -> tuple[NDArray[Any], Floats]:
@@ -184,7 +186,7 @@ class Rollout:
                 self.cell.make(),
                 self.policy,
                 self.seeds,
-                parallel_episodes=self.parallel_episodes or len(self.seeds),
+                parallel_episodes=self.parallel_episodes or max(1, len(self.seeds)),
                 max_cycles=self.max_cycles,
                 mask=None if self.messages else torch.eye(self.cell.n_agents),
             )
@@ -199,8 +201,8 @@ class _Recorder:
 
     def add(self, step: Step, slot: int) -> None:
         self._return += float(step.reward[slot].mean())
-        self._agent_collision = float(np.maximum(self._agent_collision, step.agent_collision[slot].max()))
-        self._object_collision = float(np.maximum(self._object_collision, step.object_collision[slot].max()))
+        self._agent_collision = _collided(self._agent_collision, step.agent_collision[slot])
+        self._object_collision = _collided(self._object_collision, step.object_collision[slot])
 
     def episode(self, last: Step, slot: int) -> Episode:
         return Episode(
@@ -212,3 +214,8 @@ class _Recorder:
             no_object_collision=1.0 - self._object_collision,
             makespan=len(self.observations),
         )
+
+
+def _collided(before: float, told: NDArray[Any]) -> float:
+    """1 if a collision was told, of anybody at any step so far; else NaN if somebody told nothing, else 0."""
+    return 1.0 if before == 1.0 or (told == 1.0).any() else float(np.maximum(before, told.max()))

@@ -109,7 +109,7 @@ def _fid_delta(stretch: Stretch, places: NDArray[np.int64]) -> Floats:
 class Sampled:
     """Scores masks if rows are too many to try, or not independent. Without a search: FidDelta@k only."""
 
-    orders: Floats  # (ORDERS, S, N, N), 1 order without a search
+    orders: Floats  # (ORDERS, S, N, N)
     all_edges: Sample
     messages: dict[Absence, Sample]
 
@@ -129,7 +129,6 @@ class Sampled:
         n_steps, n_agents, _ = observations.shape
         existing = np.ones((n_steps, n_agents, n_agents), dtype=bool) if edges is None else edges
         orders = random_orders(n_steps, n_agents, rng)
-        orders = orders if search else orders[:1]
         attention = _attention(policy, observations) if search else None
 
         messages = torch.empty(0)

@@ -116,8 +116,8 @@ class ParallelEpisodes:
             with foreign_code(self.task.name, f"reset(seed={seed})"):
                 self.envs[k] = env = self.task.make_env(self.task.n_agents)
                 observations, _ = env.reset(seed=int(seed))
+                self._observation[k] = self.task.of_team(observations, env.possible_agents)
             self._cycles[k] = 0
-            self._observation[k] = self.task.of_team(observations, env.possible_agents)
         return self._observation.copy()
 
     def picture(self, episode: int) -> NDArray[np.uint8] | None:
@@ -148,8 +148,8 @@ class ParallelEpisodes:
                 ended = [bool(terminations[agent]) for agent in agents]
                 over = [bool(truncations[agent]) for agent in agents]
             self._cycles[k] += 1
-            self._check_together(env, ended, over, self._cycles[k])
             with foreign_code(self.task.name, "what step returns"):
+                self._check_together(env, ended, over, self._cycles[k])
                 self._observation[k] = self.task.of_team(observations, agents)
                 success[k] = _told(infos, agents, SUCCESS_KEYS)
                 agent_collision[k] = _told(infos, agents, (AGENT_COLLISION,))

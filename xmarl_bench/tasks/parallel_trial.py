@@ -48,7 +48,7 @@ def parallel_task(name: str, make_env: Callable[[int], Any], n_agents: int) -> P
 
 def _described(name: str, make_env: Callable[[int], Any], n_agents: int, env: Parallel) -> ParallelTask:
     """The task, as its environment says."""
-    agents = list(getattr(env, "possible_agents", ()))
+    agents = list(getattr(env, "possible_agents", None) or ())
     if len(agents) != n_agents:
         raise InputError(
             f"task {name!r} made a team of {len(agents)} agents, asked for {n_agents}: give that team size, "

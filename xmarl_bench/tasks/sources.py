@@ -93,10 +93,11 @@ def _tried_rules(name: str, factory: type[Task], n_agents: int) -> Task:
         env = task.vector_env(1)
         seen = env.reset([SEED])
         env.step(random_actions(task, 1, np.random.default_rng(SEED)))
-    if seen.shape != (1, n_agents, task.obs_dim):
+        expected = (n_agents, task.obs_dim)
+    if seen.shape[1:] != expected:
         raise InputError(
-            f"task {name!r} gave observations of shape {seen.shape[1:]}, expected "
-            f"{(n_agents, task.obs_dim)}: name every entry of an observation in observation_names."
+            f"task {name!r} gave observations of shape {seen.shape[1:]}, expected {expected}: name every "
+            f"entry of an observation in observation_names."
         )
     return task
 
@@ -158,6 +159,8 @@ def known_task(name: str) -> TaskSource:
 def open_factory(factory: object, origin: Origin, name: str | None) -> TaskSource:
     """Register a factory. name: of its entry point, if it has one. Raises InputError for anything else."""
     own = _task_class(factory)
+    if own and not isinstance(getattr(own, "name", None), str):
+        raise InputError(f"task {own.__name__} ({origin.entry_point}) has no name: give its class a `name`.")
     chosen = str(own.name if own else name or getattr(factory, "__name__", type(factory).__name__))
     if not callable(factory) or (isinstance(factory, type) and own is None):
         raise InputError(

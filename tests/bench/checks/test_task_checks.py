@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -98,6 +99,13 @@ def test_what_infos_do_not_tell_is_not_applicable_and_ours_pass() -> None:
     }
     assert untold == {"success", "no agent collision", "no object collision"}
     assert all(finding.passed for finding in check_task(Cell("blind_discovery_v0", 3), episodes=2))
+
+
+def test_what_only_some_episodes_tell_is_a_fault() -> None:
+    cell = Cell(open_task(worlds.happened).name, 3)
+    failed = {finding.check: finding.message for finding in check_task(cell) if finding.passed is False}
+    assert failed.keys() == {"success", "no agent collision"}
+    assert re.match(r"told in [1-4] of 5 episodes, .* tell it in every episode", failed["success"])
 
 
 def test_it_needs_trust(run_cli: RunCli) -> None:

@@ -176,6 +176,30 @@ def test_explainers_named_are_compared_on_the_states_they_share(entry: Entry) ->
         shared_states([both[0], slow])
 
 
+def test_scores_of_two_seeds_are_not_chosen_between(entry: Entry) -> None:
+    other = entry.protocol.model_copy(update={"seeds": tuple(seed + 7 for seed in entry.protocol.seeds)})
+    entries = [
+        like(entry, name, [0.0] * 4, protocol=protocol)
+        for protocol in (entry.protocol, other)
+        for name in ("a", "b")
+    ]
+    for listed in (entries, entries[::-1]):
+        with pytest.raises(InputError, match="were scored on small more than once, on different states"):
+            shared_states(listed)
+
+
+def test_cells_without_numbers_are_left_out(entry: Entry) -> None:
+    four = made_entry("small", "random", 0.5, n_agents=4, episodes=4)
+    entries = [
+        like(cell, name, [value] * 4, policy=policy)
+        for cell, policy, value in ((entry, "p", 0.9), (entry, "q", 0.7), (four, "r", None))
+        for name, value in (("a", value), ("b", None if value is None else 0.0))
+    ]
+    comparison = compare(blocks_of(entries), "fid_delta")
+    (pair,) = comparison.pairs
+    assert (pair.improvement, pair.difference.value) == (1.0, pytest.approx(0.8))
+
+
 @pytest.mark.slow
 def test_the_command_prints_json_and_draws(run_cli: RunCli, entry: Entry, tmp_path: Path) -> None:
     folder = tmp_path / "entries"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch_geometric.explain import CaptumExplainer, Explanation, GNNExplainer, ModelConfig
 from torch_geometric.explain import Explainer as PygExplainer
-from torch_geometric.explain import Explanation, GNNExplainer, ModelConfig
 
 from tests.conftest import MakeBundle
 from tests.helpers.libraries import library
@@ -75,6 +75,12 @@ def test_messages_only_keeps_own_edges() -> None:
         mask = run_explainer(asked, POLICY, observations, 0)
         own = torch.eye(3, dtype=torch.bool)
         assert torch.equal(mask, of_senders(speed(observations)).masked_fill(own, 1.0))
+
+
+def test_messages_only_refuses_algorithms_that_mask_the_network_s_own_layers() -> None:
+    for algorithm in (GNNExplainer(epochs=1), CaptumExplainer("Saliency")):
+        with pytest.raises(InputError, match="masks the network's own layers: it cannot be kept from"):
+            messages_only(algorithm)
 
 
 @pytest.mark.slow

@@ -159,6 +159,23 @@ def test_fitted_explainers_give_the_same_entry_on_any_number_of_workers(
     assert ids[0] == ids[1]
 
 
+@pytest.mark.parametrize("reference", ["snippet.py:half", "snippet:half"])
+def test_code_that_scores_while_it_is_loaded_is_refused(
+    reference: str, make_bundle: MakeBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would start processes without end."""
+    bundle = make_bundle()
+    (tmp_path / "snippet.py").write_text(
+        "import torch\nfrom xmarl_bench import score\n\n"
+        "def half(observations):\n    return torch.full((len(observations), 3, 3), 0.5)\n\n"
+        f"score({str(bundle)!r}, half, episodes=1, max_cycles=2, behaviour_episodes=0)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=r'scores while it is loaded: put .* under `if __name__ == "__main'):
+        score(bundle, reference, episodes=1, max_cycles=2, behaviour_episodes=0)
+
+
 LEARNS = """
 import torch
 

@@ -85,6 +85,24 @@ def test_what_infos_do_not_tell_is_not_a_number() -> None:
     assert means == {**dict.fromkeys(means), "reward": episode.reward, "makespan": 4.0}
 
 
+def test_a_collision_that_is_told_counts_though_infos_are_silent_otherwise() -> None:
+    task = parallel_task("happened", worlds.TellsWhatHappened, 3)
+    episodes = roll_out(task, small_policy(2), range(20))
+    lucky = [episode.observations[0, 0, 0] > 0.5 for episode in episodes]
+    assert 0 < sum(lucky) < 20
+    for episode, known in zip(episodes, lucky, strict=True):
+        collision, success = (0.0, 1.0) if known else (np.nan, np.nan)
+        np.testing.assert_equal((episode.no_agent_collision, episode.success_rate), (collision, success))
+
+
+def test_policies_of_another_task_and_impossible_numbers_of_episodes_are_refused() -> None:
+    task = make_task("blind_passage_v0", 3)
+    with pytest.raises(InputError, match="takes observations of 6 entries, got 8: choose a policy trained"):
+        roll_out(task, small_policy(6), (1,))
+    with pytest.raises(InputError, match="parallel_episodes must be at least 1, got 0"):
+        roll_out(task, small_policy(8), (1,), parallel_episodes=0)
+
+
 def test_actions_are_scaled_to_the_box() -> None:
     task = parallel_task("line", worlds.line, 3)
     env = task.vector_env(1)

@@ -103,6 +103,34 @@ class Told(Line):
         return infos
 
 
+class TellsWhatHappened(Line):
+    """Infos hold a collision or a success only when there is one; half of the teams have none."""
+
+    def infos(self) -> dict[str, dict[str, Any]]:
+        lucky = self.place[0] > 0.5
+        key = {2: "agent_collision", self.max_cycles: "is_success"}.get(self.cycle)
+        return {a: {key: True} if key and lucky else {} for a in self.agents}
+
+
+class ListsObservations(Line):
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        seen, infos = super().reset(seed, options)
+        return list(seen.values()), infos
+
+
+class NoAgents(Line):
+    def __init__(self, n_agents: int) -> None:
+        super().__init__(n_agents)
+        self.possible_agents = None  # type: ignore[assignment]
+
+
+class ForgetsAgents(Line):
+    def step(self, actions: Any) -> Any:
+        told = super().step(actions)
+        self.agents = None  # type: ignore[assignment]
+        return told
+
+
 class Leaves(Line):
     """The first agent leaves at step 3."""
 
@@ -234,6 +262,10 @@ def line(n_agents: int) -> Line:
     return Line(n_agents)
 
 
+def happened(n_agents: int) -> TellsWhatHappened:
+    return TellsWhatHappened(n_agents)
+
+
 def told(n_agents: int) -> Told:
     return Told(n_agents)
 
@@ -272,6 +304,9 @@ BAD: dict[str, tuple[Callable[[int], Any], str]] = {
     "ends by the clock": (EndsByTheClock, "does not repeat: .* differ after 3 steps"),
     "tells arrays": (TellsArrays, r"failed in what step returns \(ValueError"),
     "no seed": (NoSeed, r"failed in reset\(seed=\d+\) \(TypeError"),
+    "lists": (ListsObservations, r"failed in reset\(seed=\d+\) \(AttributeError"),
+    "no agents": (NoAgents, "made a team of 0 agents, asked for 3"),
+    "forgets agents": (ForgetsAgents, r"failed in what step returns \(TypeError"),
     "unequal": (Unequal, "has unequal agents .*observations of agent_0"),
     "pictures": (Pictures, "policies take vectors"),
     "unbounded": (Unbounded, "unbounded actions"),

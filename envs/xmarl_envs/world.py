@@ -25,7 +25,7 @@ def most_cycles(task: Task) -> float:
     """The most cycles in a shared Space: in a longer episode agents could meet those of another copy."""
     if task.bound is not None:
         return math.inf
-    return (COPY_SPACING / 2 - task.spawn_half_width) / (TOP_SPEED * task.u_mult * TIME_STEP)
+    return float((COPY_SPACING / 2 - task.spawn_half_width) / (TOP_SPEED * task.u_mult * TIME_STEP))
 
 
 class World:

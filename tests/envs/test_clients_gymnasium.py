@@ -64,7 +64,7 @@ def test_a_team_needs_an_episode_and_an_action_per_agent() -> None:
     with pytest.raises(ValueError, match="no episode is under way: call reset first"):
         env.step(np.zeros((N_AGENTS, 2)))
     env.reset(seed=0)
-    for wrong in (np.zeros((2, 2)), np.float64(1.0)):
+    for wrong in (np.zeros((2, 2)), np.array(1.0)):
         with pytest.raises(ValueError, match="a team of 3 needs as many actions, got shape"):
             env.step(wrong)
 

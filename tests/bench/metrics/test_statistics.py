@@ -106,9 +106,8 @@ def test_independent_samples_are_compared_as_scipy_does_by_welch() -> None:
     assert ours.p == pytest.approx(theirs.pvalue)
     assert (ours.units, ours.n_nan) == (42, 1)
     assert over_samples([1.0, 1.0], [0.5, 0.5]) == Difference(0.5, None, None, 4, 4, 0)
-    assert over_samples([1.0] * 5, [0.5] * 5) == Difference(
-        0.5, (0.5, 0.5), pytest.approx(2 / 252), 10, 10, 0
-    )
+    sure = over_samples([1.0] * 5, [0.5] * 5)
+    assert (sure.interval, sure.p) == ((0.5, 0.5), 2 / 252)
     assert over_samples([1 / 3] * 2, [1 / 3 + 1e-16] * 2).p == 1.0
     assert over_samples([1.0], [0.5, 0.5]).interval is None
     assert over_samples([np.nan], [1.0]) == Difference(None, None, None, 0, 1, 1)

@@ -20,6 +20,7 @@ Wall = Literal["bubblewrap", "landlock", "process"]
 SIGNED: tuple[Wall, ...] = ("bubblewrap", "landlock")  # a verdict on third-party code needs one of them
 HIDDEN = ("/tmp", "/var/tmp", "/home", "/root", "/run", "/media", "/mnt", "/srv")
 PRIVATE_BYTES = 2**28  # of a private temporary folder in memory
+STRANGER = "XMARL_BENCH_STRANGER"  # the environment variable of processes of third-party code
 
 
 @cache
@@ -57,9 +58,6 @@ def python_folders() -> list[Path]:
     """The folders of this interpreter and of the modules that it can import."""
     found = [Path(sys.prefix), Path(sys.base_prefix), Path(sys.executable).parent]
     return found + [Path(entry) for entry in search_path() if Path(entry).exists()]
-
-
-STRANGER = "XMARL_BENCH_STRANGER"  # the environment variable of processes of third-party code
 
 
 def search_path() -> list[str]:

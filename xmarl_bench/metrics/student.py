@@ -19,6 +19,7 @@ import math
 from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class Design:
         """The design of some of the units."""
         return Design(tuple(self.clusters[k] for k in kept), tuple(self.cells[k] for k in kept if self.cells))
 
-    @property
+    @cached_property
     def weights(self) -> Floats:
         """(U,): of each unit in the mean; their sum is 1."""
         cells = self.cells or (None,) * len(self.clusters)
@@ -64,7 +65,7 @@ class Design:
             ]
         )
 
-    @property
+    @cached_property
     def members(self) -> Floats:
         """(U, G): 1 where a unit is of a cluster."""
         labels = dict.fromkeys(self.clusters)

@@ -94,7 +94,7 @@ def _tried_rules(name: str, factory: type[Task], n_agents: int) -> Task:
         seen = env.reset([SEED])
         env.step(random_actions(task, 1, np.random.default_rng(SEED)))
         expected = (n_agents, task.obs_dim)
-    if seen.shape[1:] != expected:
+    if seen.shape != (1, *expected):
         raise InputError(
             f"task {name!r} gave observations of shape {seen.shape[1:]}, expected {expected}: name every "
             f"entry of an observation in observation_names."

@@ -23,8 +23,8 @@ ALLOWED = {
 # Layers of xmarl_bench, lowest first: a package imports only from lower layers or from itself.
 LAYERS = (
     ("counted", "errors"),
-    ("metrics", "origin", "parallel", "records", "reproducible"),
-    ("policy", "tasks"),
+    ("metrics", "origin", "records", "reproducible"),
+    ("parallel", "policy", "tasks"),
     ("entry", "explain", "planted", "rollout"),
     ("board", "checks", "compare", "dataset", "isolation"),
     ("plugins",),

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cloudpickle
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from xmarl_bench.explain.explainer import Explainer
 from xmarl_bench.explain.simulator import Simulator
 from xmarl_bench.isolation.conversation import Conversation, Source, conversation, forgotten
 from xmarl_bench.isolation.tensors import Sent
+from xmarl_bench.origin.pickling import dumps
 from xmarl_bench.policy import ActionDistribution, CodeArchitecture, Policy
 from xmarl_bench.policy.device import CPU
 from xmarl_bench.policy.elsewhere import PolicyElsewhere
@@ -127,7 +127,7 @@ class AskedPolicy(PolicyElsewhere):
         return other
 
     def taking(self, explainer: Explainer) -> Asked:
-        pickled = bytes(cloudpickle.dumps(replace(explainer, simulator=None, fitted_on=None)))
+        pickled = dumps(replace(explainer, simulator=None, fitted_on=None))
         return Asked(self.source, hashlib.sha256(pickled).hexdigest(), explainer.device, pickled)
 
     def act(self, x: Tensor, edge_index: Tensor, weight: Tensor | None = None) -> Tensor:
@@ -247,4 +247,4 @@ def sent_policy(process: Conversation, policy: Policy) -> dict[str, Any]:
 
 
 def _pickled(policy: Policy) -> bytes:
-    return policy.pickled if isinstance(policy, AskedPolicy) else bytes(cloudpickle.dumps(policy))
+    return policy.pickled if isinstance(policy, AskedPolicy) else dumps(policy)

@@ -16,13 +16,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import cloudpickle
 from pydantic import ValidationError
 
 from xmarl_bench.errors import InputError
 from xmarl_bench.isolation.limits import UNLIMITED, Limits
 from xmarl_bench.isolation.process import Stranger
 from xmarl_bench.isolation.walls import Wall
+from xmarl_bench.origin.pickling import dumps
 from xmarl_bench.records.strict_json import first_error, shown
 
 PROCESSES_KEPT = 8  # in each process of the harness
@@ -85,7 +85,7 @@ class Conversation:
 def sendable(what: str, thing: object) -> bytes:
     """Pickled for a process of its own. what: its kind and name. Raises InputError if it cannot be."""
     try:
-        return bytes(cloudpickle.dumps(thing))
+        return dumps(thing)
     except Exception as error:
         raise InputError(
             f"{what} cannot be sent to a process of its own ({type(error).__name__}: {error}): keep files, "

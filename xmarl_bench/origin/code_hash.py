@@ -28,6 +28,7 @@ import cloudpickle
 from torch import Tensor
 
 from xmarl_bench.origin.installed import HARNESS, distribution_of, is_own, package_version
+from xmarl_bench.origin.pickling import is_generated
 
 LOOKS_UP = ("LOAD_GLOBAL", "LOAD_NAME")
 _CACHED = type(functools.cache(len))
@@ -95,14 +96,15 @@ class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
         if isinstance(obj, CodeType):
             return _as("code", _content_of_code(obj))
         name = obj.__name__ if isinstance(obj, ModuleType) else getattr(obj, "__module__", None)
-        own = isinstance(name, str) and is_own(name)
+        generated = isinstance(name, str) and is_generated(name)
+        own = generated or (isinstance(name, str) and is_own(name))
         if isinstance(name, str) and not own:
             self.installed.add(name.partition(".")[0])
         if own and isinstance(obj, ModuleType):
             self.files.add(Path(obj.__file__ or ""))
             return _as(obj.__name__, {key: each for key, each in vars(obj).items() if key[:2] != "__"})
         if isinstance(obj, FunctionType) and (own or not _has_its_name(obj)):
-            if own:
+            if own and not generated:
                 self.files.add(Path(obj.__code__.co_filename))
             return _as(obj.__qualname__, _content_of_function(obj))
         if isinstance(obj, type) and (own or not _has_its_name(obj)):

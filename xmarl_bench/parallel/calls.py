@@ -15,9 +15,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-import cloudpickle
-
 from xmarl_bench.errors import InputError
+from xmarl_bench.origin.pickling import dumps
 from xmarl_bench.parallel.loading import without_collector
 
 Unit = TypeVar("Unit")
@@ -50,7 +49,7 @@ def send(
     submit: Callable[..., Future[Any]], function: Callable[[Unit], object], unit: Unit
 ) -> Future[Answer]:
     """Submit the call `function(unit)`. `outcome` reads the answer that the future gives."""
-    call = attempt(lambda: bytes(cloudpickle.dumps((function, unit))))
+    call = attempt(lambda: dumps((function, unit)))
     if isinstance(call, bytes):
         return submit(_answer, call)
     not_sent: Future[Answer] = Future()
@@ -89,16 +88,16 @@ def _answer(call: bytes) -> bytes:
     def run() -> bytes:
         with without_collector():  # a worker's first call imports all that it needs
             function, unit = pickle.loads(call)
-        return bytes(cloudpickle.dumps(function(unit)))
+        return dumps(function(unit))
 
     answer = attempt(run)
-    return answer if isinstance(answer, bytes) else bytes(cloudpickle.dumps(_portable(answer)))
+    return answer if isinstance(answer, bytes) else dumps(_portable(answer))
 
 
 def _portable(failure: Failure) -> Failure:
     """Replaces an exception that cannot be pickled or loaded again, as those of some libraries."""
     try:
-        pickle.loads(cloudpickle.dumps(failure.raised))
+        pickle.loads(dumps(failure.raised))
     except Exception:
         return replace(failure, raised=RuntimeError(failure.error))
     return failure

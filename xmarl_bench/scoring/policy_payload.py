@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import cloudpickle
 
+from xmarl_bench.origin.pickling import dumps
 from xmarl_bench.policy import Policy
 
 Work = TypeVar("Work")
@@ -33,7 +34,7 @@ class PolicyPayload(Generic[Work]):
                 return "policy" if obj is policy else None
 
         Pickler(rest).dump(self.work)
-        return _arrived, (bytes(cloudpickle.dumps(policy)), rest.getvalue())
+        return _arrived, (dumps(policy), rest.getvalue())
 
 
 def _arrived(pickled: bytes, rest: bytes) -> PolicyPayload[Any]:

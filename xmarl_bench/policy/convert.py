@@ -162,22 +162,30 @@ def recognised(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ..
 
     Parts of names that torch's wrappers add do not count (see xmarl_bench.policy.wrapped). Tensors without
     the prefix, such as a critic's, are dropped. Raises InputError if tensors are missing, if others have the
-    prefix too, and if several prefixes fit.
+    prefix too, and if several prefixes fit; it gives the names in the file, which a key map takes.
     """
-    plain = {plain_name(name): tensor for name, tensor in tensors.items()}
-    if len(plain) < len(tensors):
+    in_file = {plain_name(name): name for name in tensors}
+    if len(in_file) < len(tensors):
         raise InputError("the file holds two networks with the same names: choose one with --key-map.")
     prefixes = {
-        name.removesuffix(ours) for name in plain for ours in shapes if f".{name}".endswith(f".{ours}")
+        name.removesuffix(ours) for name in in_file for ours in shapes if f".{name}".endswith(f".{ours}")
     }
-    held = {prefix: sum(prefix + ours in plain for ours in shapes) for prefix in sorted(prefixes)} or {"": 0}
+    held = {prefix: sum(prefix + ours in in_file for ours in shapes) for prefix in sorted(prefixes)} or {
+        "": 0
+    }
     prefix = max(held, key=lambda each: held[each])
     whole = [each for each in held if held[each] == len(shapes)]
     if len(whole) > 1:
-        raise InputError(f"networks {', '.join(map(shown, whole))} all fit: choose one with --key-map.")
-    others = [name for name in plain if name.startswith(prefix) and name.removeprefix(prefix) not in shapes]
+        first = next(iter(shapes))
+        starts = [shown(in_file[each + first].removesuffix(first)) for each in whole]
+        raise InputError(f"networks {', '.join(starts)} all fit: choose one with --key-map.")
+    others = [
+        name
+        for plain, name in in_file.items()
+        if plain.startswith(prefix) and plain.removeprefix(prefix) not in shapes
+    ]
     if not whole:
-        missing = [f"{ours} {shape}" for ours, shape in shapes.items() if prefix + ours not in plain]
+        missing = [f"{ours} {shape}" for ours, shape in shapes.items() if prefix + ours not in in_file]
         raise InputError(
             f"the file lacks {len(missing)} of {len(shapes)} tensors of the architecture, {_some(missing)}; "
             f"it holds {_some(others) or 'no others'}: rename them with --key-map."
@@ -186,7 +194,7 @@ def recognised(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ..
         raise InputError(
             f"the architecture has no tensor {_some(others)}: correct it, or map them to null with --key-map."
         )
-    return rename({ours: plain[prefix + ours] for ours in shapes}, {"": ""})
+    return rename({ours: tensors[in_file[prefix + ours]] for ours in shapes}, {"": ""})
 
 
 def dense(tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Tensor]:

@@ -182,10 +182,13 @@ def test_without_a_key_map_the_expected_tensors_are_named(tmp_path: Path, run_cl
     ran = convert(run_cli, tmp_path, weights | {"layers.9.bias": torch.ones(2)}, record(GAT2))
     assert ran.code == 2
     assert "has no tensor layers.9.bias" in ran.err
-    two = {f"{net}.{name}": tensor for net in ("actor", "target") for name, tensor in weights.items()}
+    wrapped = {f"module.{name}": tensor for name, tensor in weights.items()}
+    ran = convert(run_cli, tmp_path, wrapped | {"module.layers.9.bias": torch.ones(2)}, record(GAT2))
+    assert "has no tensor module.layers.9.bias" in ran.err  # as a key map names it
+    two = {f"{net}.{name}": t for net in ("module.actor", "target") for name, t in weights.items()}
     ran = convert(run_cli, tmp_path, two, record(GAT2))
     assert ran.code == 2
-    assert "'actor.', 'target.' all fit" in ran.err
+    assert "'module.actor.', 'target.' all fit" in ran.err
     assert not (tmp_path / "mine").exists()
     listed = run_cli("convert", tmp_path / "model.pt", "--architecture", tmp_path / "a.json").out
     assert listed.count("layers.0.att_src") == 3  # of two networks, and the expected one

@@ -74,7 +74,7 @@ def section(entries: list[Measured]) -> str:
         f"Means over the policies of {len(entries)} entries, of {some} timesteps, on {cpus}.",
         "",
         f"A policy takes the sum of the means, {' + '.join(summands)} = {total:.0f} s.",
-        f"The leaderboard's {n_ours} policies, `make score ALL=1`, take {n_ours} x {total:.0f} s / 3600 = "
+        f"The leaderboard's {n_ours} policies take {n_ours} x {total:.0f} s / 3600 = "
         f"{n_ours * total / 3600:.1f} core-hours.",
         f"{POLICIES:,} policies take {POLICIES:,} x {total:.0f} s / 3600 = {hours:,.0f} core-hours:",
         f"{hours / CORES:,.1f} hours on {CORES} cores, and {hours:,.0f} x {PRICE:.2f} = {hours * PRICE:,.0f} "

@@ -1,6 +1,6 @@
 """The parts of a step's time, and its growth with the team size: `make bench`, the tables at its end.
 
-Random actions as in test_speed.py. No peers and no bars: these are tables of envs/README.md.
+Random actions as in test_speed.py. No peers and no bars.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from typing import Any, Final, TypedDict, Unpack, overload
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch_geometric.explain import AttentionExplainer, CaptumExplainer, ExplainerAlgorithm, PGExplainer
 
 from xmarl_bench.errors import InputError, failures_named
@@ -114,7 +114,8 @@ class Named:
     def of(cls, name: str, function: Callable[..., Any], given: tuple[str, ...] = PARAMETERS) -> Named:
         """given: what parameters may name. Raises InputError if another parameter has no default."""
         try:
-            parameters = list(inspect.signature(function).parameters.values())
+            named = function.forward if isinstance(function, nn.Module) else function
+            parameters = list(inspect.signature(named).parameters.values())
         except (TypeError, ValueError):
             raise InputError(
                 f"explainer {name!r} has no readable signature: wrap it in a function of observations and "

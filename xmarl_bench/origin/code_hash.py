@@ -90,6 +90,11 @@ class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
         self.files: set[Path] = set()  # files of the user's own code, as they occur
         self.installed: set[str] = set()  # top-level modules of other code
 
+    def persistent_id(self, obj: object) -> object:
+        """For a set of strings its sorted content, because its order differs between processes."""
+        texts = isinstance(obj, set | frozenset) and all(isinstance(each, str) for each in obj)
+        return (type(obj).__name__, sorted(obj)) if texts else None  # type: ignore[call-overload]
+
     def reducer_override(self, obj: Any) -> Any:
         if isinstance(obj, Tensor):
             return _as("tensor", _content_of_tensor(obj))
@@ -129,12 +134,6 @@ def _has_its_name(obj: FunctionType | type) -> bool:
     return found is obj
 
 
-def _in_order(value: object) -> object:
-    """A set of strings in sorted order, because its order differs between processes; else the value."""
-    texts = isinstance(value, set | frozenset) and all(isinstance(each, str) for each in value)
-    return (type(value), sorted(value)) if texts else value  # type: ignore[call-overload]
-
-
 def _never_loaded(name: str) -> None:
     raise NotImplementedError(name)
 
@@ -146,17 +145,16 @@ def _content_of_tensor(tensor: Tensor) -> object:
 
 def _content_of_code(code: CodeType) -> object:
     """Everything but the file name, which differs between processes of a notebook."""
-    consts = [_in_order(each) for each in code.co_consts]
     names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     arguments = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount
-    return code.co_code, consts, names, arguments, code.co_flags, code.co_exceptiontable
+    return code.co_code, code.co_consts, names, arguments, code.co_flags, code.co_exceptiontable
 
 
 def _content_of_function(function: FunctionType) -> object:
     names = sorted(_names(function.__code__) & function.__globals__.keys())
     return (
         function.__code__, function.__defaults__, function.__kwdefaults__, function.__closure__,
-        vars(function), [(name, _in_order(function.__globals__[name])) for name in names],
+        vars(function), [(name, function.__globals__[name]) for name in names],
     )  # fmt: skip
 
 
@@ -169,7 +167,7 @@ def _names(code: CodeType) -> set[str]:
 
 def _content_of_class(cls: type) -> object:
     kept = {
-        key: _in_order(value)
+        key: value
         for key, value in vars(cls).items()
         if key not in NO_CONTENT and not isinstance(value, GetSetDescriptorType | MemberDescriptorType)
     }

@@ -122,8 +122,9 @@ def origin_of(found: object) -> Origin:
     if isinstance(found, partial):
         return origin_of(found.func)
     code = found if inspect.isroutine(found) or inspect.isclass(found) else type(found)
-    where = f"{code.__module__}:{code.__qualname__}"
-    distribution = distribution_of(code.__module__)
+    module = code.__module__ or "__main__"  # none if it was made by exec
+    where = f"{module}:{code.__qualname__}"
+    distribution = distribution_of(module)
     if distribution is not None:
         return Origin(distribution, package_version(distribution), where, None)
     try:

@@ -21,7 +21,9 @@ class Workers:
     address: str | None = None  # of a running Ray or Dask cluster; None: we start one on this machine
 
     def __post_init__(self) -> None:
-        if self.jobs is not None and whole_number("jobs", self.jobs) < 1:
+        if self.jobs is not None:
+            object.__setattr__(self, "jobs", whole_number("jobs", self.jobs))
+        if self.jobs is not None and self.jobs < 1:
             raise InputError(
                 f"jobs must be at least 1, got {self.jobs}: give the number of processes to use."
             )

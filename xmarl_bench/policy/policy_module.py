@@ -14,6 +14,7 @@ from torch import nn
 
 from xmarl_bench.policy.architecture import DistributionKind
 from xmarl_bench.policy.graph import CompleteGraph, Graph
+from xmarl_bench.policy.wrapped import unwrapped
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class PolicyModule:
         for each of the task's actions if it is "categorical". The rows are agents of one
         team or of many at once; they may interact in torch_geometric's message-passing layers only, which
         pass one message for each edge. A network with memory has `initial_state` and `step` instead of
-        forward, see xmarl_bench.policy.recurrent.
+        forward, see xmarl_bench.policy.recurrent. One that torch.compile, DataParallel or AveragedModel
+        wraps is taken out.
     task: its name, or the task itself: a subclass of xmarl_envs.Task, or a function of a team size that
         returns a PettingZoo ParallelEnv.
     distribution: "tanh_normal", "normal", "deterministic" or "categorical", see ActionDistribution.
@@ -41,3 +43,7 @@ class PolicyModule:
     graph: Graph = field(default_factory=CompleteGraph)
     attention_entropy: float = 0.0
     training_seed: int | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.network, nn.Module):  # else it is refused when it is opened
+            object.__setattr__(self, "network", unwrapped(self.network))

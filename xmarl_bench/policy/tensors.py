@@ -6,6 +6,7 @@ from itertools import chain
 
 import torch
 from torch import nn
+from torch.nn.parameter import is_lazy
 
 from xmarl_bench.errors import InputError
 
@@ -13,7 +14,12 @@ from xmarl_bench.errors import InputError
 def check_tensors(network: nn.Module, name: str) -> None:
     """Raise InputError if weights are not float32 on the CPU, or cannot take part in gradients."""
     for key, tensor in chain(network.named_parameters(), network.named_buffers()):
-        if tensor.device.type != "cpu":
+        if is_lazy(tensor):
+            problem, remedy = (
+                "has no shape yet",
+                "run the network once, or give its layers their input widths",
+            )
+        elif tensor.device.type != "cpu":
             problem, remedy = f"is on {tensor.device}", 'move the network with .to("cpu")'
         elif tensor.is_floating_point() and tensor.dtype != torch.float32:
             problem, remedy = f"is {str(tensor.dtype).removeprefix('torch.')}", "convert it with .float()"

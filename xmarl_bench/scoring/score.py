@@ -7,8 +7,10 @@ episodes, and whether its pieces come from one run or several.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 from xmarl_bench.entry.provenance import now
@@ -55,6 +57,17 @@ class Failed:
         return f"{self.request.explainer.name} on {self.request.card.name}: {self.error}"
 
 
+_turn = RLock()
+
+
+@contextmanager
+def _one_at_a_time() -> Iterator[None]:
+    """Threads take turns: a score ends the process's strangers and sets its defaults of torch."""
+    with _turn:
+        yield
+
+
+@_one_at_a_time()
 @torch_defaults()
 def score(
     policy: str | Path | PolicyModule | tuple[Policy, PolicyCard],
@@ -99,8 +112,8 @@ def score(
             own. False: in this process, for debugging; then the entry says so and nothing is kept.
         answer_seconds: wall-clock time in which such a process must answer for an episode.
 
-    The caller's settings of torch (default dtype and device, autocast, inference mode) have no effect. Raises
-    InputError if an argument is invalid or the explainer fails.
+    The caller's settings of torch (default dtype and device, autocast, inference mode) have no effect. Calls
+    in several threads take turns. Raises InputError if an argument is invalid or the explainer fails.
     """
     isolation = Isolation(replace(UNLIMITED, answer_seconds=answer_seconds)) if isolate else None
     sampling = Sampling(episodes=episodes, timesteps=timesteps, max_cycles=max_cycles, seed=seed)

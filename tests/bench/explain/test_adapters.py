@@ -169,6 +169,15 @@ def test_classes_and_objects_explain_and_declare() -> None:
         as_explainer(NeedsMore)
 
 
+def test_a_torch_module_is_called_with_what_its_forward_names() -> None:
+    class Learned(torch.nn.Module):
+        def forward(self, observations: Tensor, policy: Policy) -> Tensor:
+            return policy.attention(observations)
+
+    assert as_explainer(Learned()).name == "learned"
+    torch.testing.assert_close(run(Learned()), POLICY.attention(OBSERVATIONS))
+
+
 def test_the_keywords_of_a_partial_are_its_hyperparameters() -> None:
     def tempered(observations: Tensor, policy: Policy, temperature: float = 1.0) -> Tensor:
         """Attention, sharper or flatter."""
@@ -360,6 +369,13 @@ def test_explainers_can_be_sent_to_worker_processes(thing: object) -> None:
     again: Explainer = pickle.loads(pickle.dumps(explainer))
     expected = run_explainer(explainer, POLICY, OBSERVATIONS, 1)
     assert torch.equal(run_explainer(again, POLICY, OBSERVATIONS, 1), expected)
+
+
+def test_a_function_that_exec_made_has_an_origin() -> None:
+    scope: dict[str, Any] = {"torch": torch}
+    exec("def made(observations):\n    return torch.ones(len(observations), 3, 3)", scope)
+    assert scope["made"].__module__ is None
+    assert origin_of_explainer(as_explainer(scope["made"])).entry_point == "__main__:made"
 
 
 @pytest.mark.slow

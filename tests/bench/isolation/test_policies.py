@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor, nn
-from torch_geometric.nn import GATConv, GraphConv
+from torch_geometric.nn import GATConv, GATv2Conv, GraphConv
 
 from tests.bench.policy.test_code import near
 from tests.conftest import MakeBundle, RunCli
@@ -321,6 +321,23 @@ def test_answers_that_are_no_tensor_are_refused(layout: object) -> None:
     assert torch.equal(Sent.parse([[4, 1], 3], (2, 4), bytes(40)).tensor(), torch.zeros(2, 4))
     with pytest.raises(ValueError, match="expected shape"):
         Sent.parse([[4, 1], 0], (2, 4), bytes(31))
+
+
+def test_a_wrapped_network_is_taken_out() -> None:
+    network = TwoLayers()
+    for wrapped in (nn.DataParallel(network), torch.compile(network)):
+        assert PolicyModule("p", wrapped, "blind_navigation_v0", 3).network is network  # type: ignore[arg-type]
+
+
+def test_a_network_that_cannot_be_opened_is_refused_in_one_sentence() -> None:
+    parametrised = TwoLayers()
+    nn.utils.parametrizations.weight_norm(next(m for m in parametrised.modules() if isinstance(m, nn.Linear)))
+    for network, said in (
+        (parametrised, "call torch.nn.utils.parametrize.remove_parametrizations, or run it here"),
+        (GATv2Conv(-1, 4), "has no shape yet: run the network once"),
+    ):
+        with pytest.raises(InputError, match=said):
+            isolate_policy(PolicyModule("p", network, "blind_navigation_v0", 3), Isolation())
 
 
 def test_what_cannot_be_sent_is_refused_in_one_sentence() -> None:

@@ -25,6 +25,7 @@ from xmarl_bench.policy import Policy
 from xmarl_bench.scoring.piece_keys import Keys
 
 SCALE = 0.5
+TAGS = {"near", "far", "left", "right"}  # its order differs between processes
 
 
 def closure(scale: float) -> Callable[[Tensor, Policy], Tensor]:
@@ -189,12 +190,15 @@ def test_two_processes_agree(folder: Path) -> None:
     code = (
         "import sys; from xmarl_bench.origin.references import load_reference\n"
         "from xmarl_bench.origin.code_hash import object_sha256\n"
-        f"print(object_sha256(load_reference({str(folder / 'own.py')!r} + ':own')[0]))"
+        f"own = load_reference({str(folder / 'own.py')!r} + ':own')[0]\n"
+        f"print(object_sha256([own, {sorted(TAGS)}, set({sorted(TAGS)})]))"
     )
     other = subprocess.run(
         [sys.executable, "-c", code], env={"PYTHONHASHSEED": "1", "PYTHONPATH": ":".join(sys.path)},
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    here = object_sha256(load_reference(f"{folder / 'own.py'}:own")[0])
+    own, _ = load_reference(f"{folder / 'own.py'}:own")
+    here = object_sha256([own, sorted(TAGS), TAGS])
     assert here is not None
+    assert object_sha256([own, sorted(TAGS), TAGS | {"more"}]) != here
     assert other.stdout == f"{here}\n"

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from loky import get_reusable_executor
 
@@ -271,6 +272,10 @@ def _read(pipe: int, otherwise: str) -> bytes:
 def test_invalid_workers_are_refused(arguments: tuple[object, ...], said: str) -> None:
     with pytest.raises(InputError, match=said):
         Workers(*arguments)  # type: ignore[arg-type]
+
+
+def test_jobs_may_be_a_number_of_numpy() -> None:
+    assert type(Workers(np.int64(1)).jobs) is int  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("backend", "package"), [("ray", "ray"), ("dask", "distributed")])

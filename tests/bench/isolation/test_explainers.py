@@ -7,7 +7,9 @@ import re
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,9 @@ from typing import Any
 import pytest
 import torch
 
+from tests.conftest import MakeBundle
 from tests.helpers.policies import random_observations, small_policy
+from xmarl_bench.entry.schema import Entry
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.explainer import fit_explainer, on_device, run_explainer
 from xmarl_bench.explain.sanity import mask_of_shuffled_weights
@@ -26,6 +30,7 @@ from xmarl_bench.isolation.limits import Limits
 from xmarl_bench.isolation.walls import Wall, strongest
 from xmarl_bench.plugins.registry import ask_explainer, find_explainer
 from xmarl_bench.scoring.piece_keys import Keys
+from xmarl_bench.scoring.score import score
 
 # The first observed number chooses what it does.
 CODE = """
@@ -297,3 +302,18 @@ def test_systems_without_such_processes_are_refused_in_one_sentence(monkeypatch:
     monkeypatch.setattr(process, "UNIX", False)
     with pytest.raises(InputError, match=r"which \w+ does not offer: run this on Linux or macOS, or"):
         ask_explainer("tests.helpers.example_plugins:slow")
+
+
+@pytest.mark.slow
+def test_scores_in_threads_do_not_end_one_another(make_bundle: MakeBundle) -> None:
+    def own(seconds: float) -> Entry:
+        def explain(observations: torch.Tensor) -> torch.Tensor:
+            time.sleep(seconds)
+            return torch.full((len(observations), 3, 3), seconds)
+
+        return score(folder, explain, episodes=1, max_cycles=4, behaviour_episodes=0)
+
+    folder = make_bundle()
+    with ThreadPoolExecutor(2) as pool:
+        masses = [each.results[0].metrics.mask_mass for each in pool.map(own, (0.5, 0.0))]
+    assert [each and each.value for each in masses] == [0.5, 0.0]

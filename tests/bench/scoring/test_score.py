@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -44,20 +43,6 @@ def test_two_runs_and_any_parallel_episodes_write_the_same_bytes(task: str, make
     ]
     assert len({bytes_of(entry) for entry in runs}) == 1
     assert runs[0].results[0].episodes[0].timesteps == 8
-
-
-@pytest.mark.slow
-def test_scores_in_threads_do_not_end_one_another(make_bundle: MakeBundle) -> None:
-    def own(number: int) -> Entry:
-        def explain(observations: torch.Tensor) -> torch.Tensor:
-            return torch.full((len(observations), 3, 3), 0.1 * number)
-
-        return score(folder, explain, episodes=1, max_cycles=4, behaviour_episodes=0)
-
-    folder = make_bundle()
-    with ThreadPoolExecutor(3) as pool:
-        masses = [each.results[0].metrics.mask_mass for each in pool.map(own, (1, 2, 3))]
-    assert [each and round(each.value or 0.0, 4) for each in masses] == [0.1, 0.2, 0.3]
 
 
 @pytest.mark.slow

@@ -36,10 +36,11 @@ def _is_importable_here_alone(name: str) -> bool:
     file = _file_of(module)
     if file is None or file.suffix != ".py" or getattr(module, "__name__", None) != name:
         return False
-    parent, _, last = name.rpartition(".")
-    if parent and vars(sys.modules[parent]).get(last) is module:  # as the import system leaves it
+    above, _, last = name.rpartition(".")
+    parent = sys.modules.get(above)
+    if isinstance(parent, ModuleType) and vars(parent).get(last) is module:  # as the import system leaves it
         return False
-    path = getattr(sys.modules[parent], "__path__", ()) if parent else None
+    path = getattr(parent, "__path__", ()) if above else None
     return all(finder.find_spec(name, path) is None for finder in sys.meta_path)
 
 

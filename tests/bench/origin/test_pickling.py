@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import pickle
 import sys
 import tempfile
@@ -72,3 +73,18 @@ def test_the_hash_of_a_network_does_not_depend_on_where_its_code_was_generated(
 def test_modules_with_a_name_of_their_own_are_not_generated() -> None:
     sequential()
     assert not any(map(is_generated, ("torch_geometric.nn.sequential", "torch", "pickle", __name__, "sys")))
+
+
+def test_odd_entries_among_the_loaded_modules_do_no_harm(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "alone.py").write_text("def own():\n    return 3")
+    spec = importlib.util.spec_from_file_location("no_parent.alone", tmp_path / "alone.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setitem(sys.modules, "no_parent.alone", module)
+    monkeypatch.setitem(sys.modules, "never", None)  # type: ignore[arg-type]
+    sent = dumps(module.own)
+    monkeypatch.delitem(sys.modules, "no_parent.alone")
+    assert pickle.loads(sent)() == 3

@@ -84,7 +84,7 @@ def test_odd_entries_among_the_loaded_modules_do_no_harm(
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     monkeypatch.setitem(sys.modules, "no_parent.alone", module)
-    monkeypatch.setitem(sys.modules, "never", None)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "never", None)
     sent = dumps(module.own)
     monkeypatch.delitem(sys.modules, "no_parent.alone")
     assert pickle.loads(sent)() == 3

@@ -87,15 +87,12 @@ def sendable(what: str, thing: object) -> bytes:
     try:
         return dumps(thing)
     except Exception as error:
-        parametrised = "parametrized modules" in str(error)
+        remedy = "keep files, locks and connections out of it"
+        if "parametrized modules" in str(error):
+            remedy = "call torch.nn.utils.parametrize.remove_parametrizations"
         raise InputError(
-            f"{what} cannot be sent to a process of its own ({type(error).__name__}: {error}): "
-            + (
-                "call torch.nn.utils.parametrize.remove_parametrizations"
-                if parametrised
-                else "keep files, locks and connections out of it"
-            )
-            + ", or run it here (isolate=False)."
+            f"{what} cannot be sent to a process of its own ({type(error).__name__}: {error}): {remedy}, or "
+            f"run it here (isolate=False)."
         ) from error
 
 

@@ -371,13 +371,6 @@ def test_explainers_can_be_sent_to_worker_processes(thing: object) -> None:
     assert torch.equal(run_explainer(again, POLICY, OBSERVATIONS, 1), expected)
 
 
-def test_a_function_that_exec_made_has_an_origin() -> None:
-    scope: dict[str, Any] = {"torch": torch}
-    exec("def made(observations):\n    return torch.ones(len(observations), 3, 3)", scope)
-    assert scope["made"].__module__ is None
-    assert origin_of_explainer(as_explainer(scope["made"])).entry_point == "__main__:made"
-
-
 @pytest.mark.slow
 def test_the_origin_of_an_explainer_is_recorded(make_bundle: MakeBundle) -> None:
     others = partial(attended), messages_only(as_explainer(attended))

@@ -6,13 +6,15 @@ import hashlib
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 
 from tests.conftest import MakeBundle, RunCli
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.errors import InputError
-from xmarl_bench.explain.adapters import origin_of_explainer
+from xmarl_bench.explain.adapters import as_explainer, origin_of_explainer
 from xmarl_bench.origin.references import Origin, is_reference, load_reference, origin_of
 from xmarl_bench.plugins.registry import find_explainer
 
@@ -152,3 +154,10 @@ def test_a_file_is_scored_and_recorded(
     }
     assert entries["scaled"].code_sha256 == hashlib.sha256(CODE.encode()).hexdigest()
     assert entries["scaled"].accesses == "black-box"
+
+
+def test_a_function_that_exec_made_has_an_origin() -> None:
+    scope: dict[str, Any] = {"torch": torch}
+    exec("def made(observations):\n    return torch.ones(len(observations), 3, 3)", scope)
+    assert scope["made"].__module__ is None
+    assert origin_of_explainer(as_explainer(scope["made"])).entry_point == "__main__:made"

@@ -19,6 +19,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from cloudpickle import register_pickle_by_value
+
 from xmarl_bench.errors import InputError, failures_named
 from xmarl_bench.origin.installed import distribution_of, is_own, package_version, places_of
 
@@ -166,7 +168,7 @@ def _import_file(path: Path, reference: str) -> ModuleType:
     """Import a file as a module whose name includes the hash of its content.
 
     It can import modules beside it, as a script can. All of them are read anew each time. Other processes
-    cannot import it by this name: `pickling.dumps` sends its code along.
+    cannot import it by this name, so whoever pickles what it defines sends its code along.
     """
     name = f"{path.stem}_{hashlib.sha256(_source(path)).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(name, path)
@@ -180,6 +182,7 @@ def _import_file(path: Path, reference: str) -> ModuleType:
     except InputError:
         del sys.modules[name]
         raise
+    register_pickle_by_value(module)
     return module
 
 

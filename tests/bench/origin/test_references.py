@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 import sys
 from pathlib import Path
 from typing import Any
 
+import cloudpickle
 import pytest
 import torch
 
@@ -105,6 +107,14 @@ def test_two_files_of_one_name_are_kept_apart(file: Path, tmp_path: Path) -> Non
     other.write_text(CODE.replace("0.25", "0.75"))
     scales = [load_reference(f"{path}:half")[0].scale for path in (file, other, file)]
     assert scales == [0.25, 0.75, 0.25]
+
+
+def test_what_a_file_defines_is_pickled_with_its_code(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    half, _ = load_reference(f"{file}:half")
+    sent = cloudpickle.dumps(half)
+    monkeypatch.delitem(sys.modules, type(half).__module__)
+    file.unlink()
+    assert pickle.loads(sent).explain(torch.zeros(1, 2, 2)).tolist() == [[[0.25, 0.25], [0.25, 0.25]]]
 
 
 def test_a_file_does_not_shadow_a_module(file: Path) -> None:

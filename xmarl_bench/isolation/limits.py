@@ -23,7 +23,8 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value is not None and not 0 < value < math.inf:
+            needed = name == "answer_seconds"
+            if (value is not None and not 0 < value < math.inf) or (value is None and needed):
                 raise InputError(
                     f"{name} must be more than 0 and finite, got {value}: give a positive number."
                 )

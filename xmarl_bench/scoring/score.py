@@ -109,7 +109,9 @@ def score(
         trust_code: run the code of policy and task, if they have their own.
         cache: folder of the cache, see `Cache`; by default nothing is kept.
         isolate: run an explainer that is not shipped, and a policy that is code, each in a process of its
-            own. False: in this process, for debugging; then the entry says so and nothing is kept.
+            own, which imports modules from disk: what has changed in this process since its import, or in
+            the file, is other code there. False: in this process, for debugging; then the entry says so and
+            nothing is kept.
         answer_seconds: wall-clock time in which such a process must answer for an episode.
 
     The caller's settings of torch (default dtype and device, autocast, inference mode) have no effect. Calls

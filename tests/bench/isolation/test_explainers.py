@@ -249,7 +249,8 @@ def test_code_that_changes_during_a_run_is_refused(tmp_path: Path) -> None:
 def test_limits_must_be_above_zero_and_finite() -> None:
     with pytest.raises(InputError, match="cpu_seconds must be more than 0 and finite, got 0"):
         Limits(cpu_seconds=0)
-    for value in (float("nan"), float("inf")):
+    values: Any = (float("nan"), float("inf"), None)
+    for value in values:
         with pytest.raises(InputError, match=f"answer_seconds must be more than 0 and finite, got {value}"):
             Limits(answer_seconds=value)
 

@@ -145,7 +145,7 @@ def test_attention_rowmax_ranks_as_attention_and_keeps_the_best_message_whole() 
     ids=lambda it: it.name if isinstance(it, Explainer) else "",
 )
 def test_an_explainer_leaves_no_trace(explainer: Explainer, policy: Policy) -> None:
-    observations = random_observations(2, 3, 6)
+    observations = random_observations(2, 2, 6)
     state, seen = everything_of(policy), observations.clone()
     with torch.no_grad():
         plain = policy.distribution(observations).loc
@@ -269,7 +269,7 @@ def test_policies_without_attention_are_explained_by_explainers_that_need_none(e
 @pytest.mark.parametrize("policy", [one_layer(6), two_layers(6), transformers(6)], ids=["1", "2", "3"])
 @on_any_network
 def test_policies_beyond_the_fast_path_are_explained(explainer: Explainer, policy: Policy) -> None:
-    observations = random_observations(2, 3, 6)
+    observations = random_observations(2, 2, 6)
     if explainer is graphmask_pyg and "Transformer" in str(policy):
         with pytest.raises(InputError, match="TransformerConv"):  # PyG's own does not work there
             run(explainer, policy, observations, 3)
@@ -295,7 +295,7 @@ for name in sys.argv[1:]:
         os.wait()
         continue
     (plugin,) = [p for p in entry_points(group="xmarl_bench.explainers") if p.name == name]
-    for n_steps in (1024, 4096):  # chunks are of 1024 timesteps at N = 8
+    for n_steps in (1024, 2048):  # chunks are of 1024 timesteps at N = 8
         run_explainer(plugin.load(), small_policy(6), random_observations(n_steps, 8, 6), 0)
         print(name, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, flush=True)
     os._exit(0)

@@ -295,7 +295,7 @@ for name in sys.argv[1:]:
         os.wait()
         continue
     (plugin,) = [p for p in entry_points(group="xmarl_bench.explainers") if p.name == name]
-    for n_steps in (1024, 2048):  # chunks are of 1024 timesteps at N = 8
+    for n_steps in (256, 2048):  # chunks are of 256 timesteps at N = 8
         run_explainer(plugin.load(), small_policy(6), random_observations(n_steps, 8, 6), 0)
         print(name, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, flush=True)
     os._exit(0)

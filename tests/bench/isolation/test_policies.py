@@ -176,13 +176,13 @@ def test_a_policy_without_attention_says_so_here_too() -> None:
 
 def test_an_entry_of_a_code_policy_has_the_same_values_in_one_process(tmp_path: Path) -> None:
     quick: dict[str, Any] = {"episodes": 2, "timesteps": 2, "max_cycles": 2, "behaviour_episodes": 1}
-    apart = score(with_memory(), "gnn_explainer", **quick)
-    here = score(with_memory(), "gnn_explainer", isolate=False, cache=tmp_path / "cache", **quick)
+    apart = score(with_memory(), "gradient", **quick)
+    here = score(with_memory(), "gradient", isolate=False, cache=tmp_path / "cache", **quick)
     assert apart.results == here.results
     assert (apart.policy.isolated, here.policy.isolated) == (None, False)
     assert apart.policy.model_copy(update={"isolated": False}) == here.policy
     opened = open_module(with_memory(), origin_of(nn.Module()))
-    assert score(opened, "gnn_explainer", **quick).results == here.results
+    assert score(opened, "gradient", **quick).results == here.results
     assert not (tmp_path / "cache").exists()
 
 

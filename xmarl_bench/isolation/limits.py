@@ -23,8 +23,9 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            needed = name == "answer_seconds"
-            if (value is not None and not 0 < value < math.inf) or (value is None and needed):
+            if value is None and name != "answer_seconds":
+                continue
+            if value is None or not 0 < value < math.inf:
                 raise InputError(
                     f"{name} must be more than 0 and finite, got {value}: give a positive number."
                 )

@@ -23,7 +23,7 @@ from tests.helpers.zygote import Request
 from xmarl_bench.entry.file import read_entries
 from xmarl_bench.policy import save_policy
 
-KILLS = int(os.environ.get("XMARL_BENCH_KILLS", "2"))
+KILLS = int(os.environ.get("XMARL_BENCH_KILLS", "3"))
 TASK = "blind_discovery_v0"
 Inodes = Mapping[Path, int]
 

@@ -55,6 +55,7 @@ class Need(StrEnum):
     SUCCESS = "a task that tells success"
     COLLISIONS = "a task that tells collisions"
     ATTENTION = "attention"
+    SHARES = "attention that sums to 1"
 
 
 @dataclass(frozen=True)
@@ -310,7 +311,7 @@ METRICS: tuple[Metric, ...] = (
     Metric(
         "attention_entropy", "attention entropy", "how evenly agents attend; log N is uniform",
         "mean over agents of the entropy of their attention, in nats",
-        Group.POLICY, NOT_NEGATIVE, unit="nats", needs=(Need.ATTENTION,), column=3,
+        Group.POLICY, NOT_NEGATIVE, unit="nats", needs=(Need.ATTENTION, Need.SHARES), column=3,
         short="attention entropy", digits=2,
     ),
     Metric(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ class Performance:
     max_cycles: int
     with_messages: dict[str, float | None]
     without_messages: dict[str, float | None]  # F(identity): every agent hears itself only
-    # nats, over the episodes with messages; log N: uniform attention; None: the policy has no attention
+    # nats, over the episodes with messages; log N: uniform attention; None: the policy has none that sums to 1
     attention_entropy: float | None
     # Success and reward with messages minus without, paired by episode: {metric: {value, low, high}}, 95 %.
     # Empty in older cards.
@@ -111,11 +112,12 @@ def _gain(name: str, heard: Sequence[Episode], unheard: Sequence[Episode]) -> di
 
 
 def _attention_entropy(policy: Policy, episodes: Sequence[Episode]) -> float | None:
-    """Mean over timesteps within an episode, then over episodes."""
+    """Mean over timesteps within an episode, then over episodes; None without attention that sums to 1."""
     policy = copy.deepcopy(policy)
     with one_thread(), torch.inference_mode():
         try:
             attention = [policy.attention(torch.tensor(episode.observations)) for episode in episodes]
         except NoAttentionError:
             return None
-    return float(np.mean([attention_entropy(alpha.numpy()).mean() for alpha in attention]))
+    mean = float(np.mean([attention_entropy(alpha.numpy()).mean() for alpha in attention]))
+    return None if isnan(mean) else mean

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from math import isfinite, isnan
 
 import torch
+from torch import Tensor
 
 from xmarl_bench.explain.oracle import why_no_oracle
+from xmarl_bench.metrics.attention_entropy import are_shares
 from xmarl_bench.metrics.table import METRICS, Need
-from xmarl_bench.policy import GraphPolicy
+from xmarl_bench.policy import GraphPolicy, Policy
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode
 from xmarl_bench.scoring.behaviour import why_no_behaviour
@@ -28,6 +30,8 @@ def not_measured(request: Request, cell: Cell, episodes: Sequence[Episode]) -> d
     not_played = (
         why_no_behaviour(explainer, n_agents) or "not asked for, since it asks the explainer at every step"
     )
+    seen = torch.tensor(episodes[0].observations[:1])
+    no_attention = policy.why_no_attention(seen)
     finite = any(isfinite(episode.reward) for episode in episodes)
     hits = _untold("no_object_collision", OBJECT_COLLISION, episodes)
     # The reason why a need is not met; None or empty if it is met.
@@ -43,10 +47,18 @@ def not_measured(request: Request, cell: Cell, episodes: Sequence[Episode]) -> d
         Need.SUCCESS: _untold("success_rate", keys, episodes),
         Need.COLLISIONS: _untold("no_agent_collision", AGENT_COLLISION, episodes),
         Need.WALLS: hits if cell.make().has_objects else "the task has no walls",
-        Need.ATTENTION: policy.why_no_attention(torch.tensor(episodes[0].observations[:1])),
+        Need.ATTENTION: no_attention,
+        Need.SHARES: None if no_attention else _no_shares(policy, seen),
     }
     first = {metric.name: next(filter(None, map(reasons.get, metric.needs)), None) for metric in METRICS}
     return {name: reason for name, reason in first.items() if reason is not None}
+
+
+def _no_shares(policy: Policy, observation: Tensor) -> str | None:
+    """observation: (1, N, D)."""
+    if are_shares(policy.attention(observation).detach().numpy()).all():
+        return None
+    return "the coefficients of the policy's attention do not sum to 1"
 
 
 def _untold(metric: str, keys: str, episodes: Sequence[Episode]) -> str | None:

@@ -125,6 +125,13 @@ def test_attention_entropy_by_hand() -> None:
     np.testing.assert_allclose(received, [math.log(3), 0.0, math.log(2) / 3], atol=1e-15)
 
 
+def test_coefficients_that_are_no_shares_have_no_entropy() -> None:
+    nobody = np.diag([1.0, 1.0, 0.0])  # the last agent hears nobody
+    gates, signed = np.full((3, 3), 0.5), np.full((3, 3), 1 / 3) + np.array([1.0, -1.0, 0.0])
+    received = attention_entropy(np.stack([nobody, gates, signed, np.eye(3)]).astype(np.float32))
+    np.testing.assert_array_equal(received, [0.0, np.nan, np.nan, 0.0])
+
+
 def test_attention_distance_by_hand() -> None:
     uniform, alone = np.full((3, 3), 1 / 3), np.eye(3)
     mixed = np.array([[0.75, 0.25, 0.0], [0.5, 0.5, 0.0], [0.4, 0.3, 0.3]])

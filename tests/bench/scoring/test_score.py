@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 from xmarl_envs import TASKS
 
 from tests.conftest import MakeBundle
@@ -20,10 +21,11 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.plugins.registry import find_explainer
-from xmarl_bench.policy import Policy, load_policy
+from xmarl_bench.policy import GraphPolicy, Policy, load_policy
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.reproducible import PUBLIC_SEEDS, derived_seed, episode_seeds
 from xmarl_bench.rollout.cell import Cell, Sampling
+from xmarl_bench.rollout.evaluation import evaluate
 from xmarl_bench.scoring.request import Request, plan
 from xmarl_bench.scoring.score import entries_of, score, score_requests
 from xmarl_bench.submission.rounding import CLOSE
@@ -146,6 +148,30 @@ def test_metrics_that_are_not_measured_have_a_reason(make_bundle: MakeBundle) ->
     assert {name for name in many if "at most 32 agents with one layer, got 33" in many[name]} == {
         "budgeted_fidelity", *UNDER_ABSENCES, "message_fidelity", "smallest_message_fidelity",
     }  # fmt: skip
+
+
+class Gated(GraphPolicy):
+    """Says that its coefficients are twice what they are, as those of a layer that adds up two heads."""
+
+    def attention(self, observation: Tensor) -> Tensor:
+        return 2.0 * super().attention(observation)
+
+
+@pytest.mark.slow
+def test_attention_that_does_not_sum_to_1_has_no_entropy(make_bundle: MakeBundle) -> None:
+    policy, card = load_policy(make_bundle())
+    gated = Gated(policy.architecture).eval()
+    gated.load_state_dict(policy.state_dict())
+    request = Request(
+        gated, card, find_explainer("random"), (Cell(card.task, 3),), Sampling(2, max_cycles=3), 0
+    )
+    (entry,) = entries_of(score_requests([request]))
+    (result,) = entry.results
+    assert "do not sum to 1" in result.not_measured["attention_entropy"]
+    assert result.metrics.attention_entropy is None
+    assert result.metrics.attention_distance is not None
+    (performance,) = evaluate([(gated, Cell(card.task, 3))], Sampling(2, max_cycles=3))
+    assert performance.attention_entropy is None
 
 
 @pytest.mark.slow

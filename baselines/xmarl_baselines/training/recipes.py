@@ -131,7 +131,7 @@ RECIPES: dict[str, Recipe] = {
         learning_rate=7e-4,
         gamma=0.995,
         ent_coef=2e-3,
-        shaping=Shaping(landmark_progress=1.0),
+        shaping=Shaping(landmark_progress=1.0, search_reward=3.0),
     ),
 }
 

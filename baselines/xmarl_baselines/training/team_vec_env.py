@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from xmarl_envs import Task, VectorEnv
+from xmarl_envs import BlindDiscovery, Task, VectorEnv
 from xmarl_envs.sb3_vec_env import OneObjectVecEnv
 
+from xmarl_baselines.training.search import Search
 from xmarl_baselines.training.shaping import Shaping, training_reward
 
 
@@ -43,6 +44,8 @@ class TeamVecEnv(OneObjectVecEnv):
         self._env = VectorEnv(task, n_envs, max_cycles, copies_per_space)
         self._rng = np.random.default_rng(seed)
         self._actions: NDArray[np.float32] = np.zeros((n_envs, task.n_agents, 2), np.float32)
+        searched = isinstance(task, BlindDiscovery) and self.shaping.search_reward != 0
+        self._search = Search(task, n_envs) if searched else None
         self._return = np.zeros(n_envs)
         self._collided = np.zeros(n_envs, dtype=bool)
 
@@ -50,8 +53,7 @@ class TeamVecEnv(OneObjectVecEnv):
         observation = self._env.reset(training_seeds(self._rng, self.num_envs))
         # First episodes start at random cycles, so that they are not all truncated at once.
         self._env.cycles[:] = self._rng.integers(0, self._env.max_cycles, self.num_envs)
-        self._return[:] = 0.0
-        self._collided[:] = False
+        self._begin(slice(None))
         return observation
 
     def step_wait(
@@ -59,9 +61,11 @@ class TeamVecEnv(OneObjectVecEnv):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         before = self._env.world.position.copy()
         step = self._env.step(self._actions)
-        reward = training_reward(
-            self.task, self.shaping.with_caution(self.caution), before, self._env.state, step
-        ).astype(np.float32)
+        shaping = self.shaping.with_caution(self.caution)
+        reward = training_reward(self.task, shaping, before, self._env.state, step).astype(np.float32)
+        if self._search is not None:
+            searching = np.float32(shaping.scale * shaping.search_reward)
+            reward += searching * self._search.newly_sensed(self._env.state.position)
         self._return += step.reward.mean(axis=-1)
         self._collided |= step.agent_collision.any(axis=-1)
         done = step.terminated | step.truncated
@@ -83,9 +87,14 @@ class TeamVecEnv(OneObjectVecEnv):
             }  # fmt: skip
         if ended.size:
             observation = self._env.reset(training_seeds(self._rng, ended.size), ended)
-            self._return[ended] = 0.0
-            self._collided[ended] = False
+            self._begin(ended)
         return observation, reward, done, infos
+
+    def _begin(self, teams: NDArray[np.integer] | slice) -> None:
+        self._return[teams] = 0.0
+        self._collided[teams] = False
+        if self._search is not None:
+            self._search.begin(teams)
 
 
 def training_seeds(rng: np.random.Generator, n: int) -> list[int]:

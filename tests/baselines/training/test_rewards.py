@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from xmarl_baselines.training.search import Search
 from xmarl_baselines.training.shaping import Shaping, distance_through_gap, training_reward
 from xmarl_baselines.training.team_vec_env import TeamVecEnv
-from xmarl_envs import TASKS, BlindPassage, State, VectorEnv, make_task
+from xmarl_envs import TASKS, BlindDiscovery, BlindPassage, State, VectorEnv, make_task
 
 
 def test_teams_report_the_reward_of_the_task_not_the_shaped_one() -> None:
@@ -74,3 +75,34 @@ def test_the_distance_through_the_gap() -> None:
     assert way(0.0, 0.0) == pytest.approx(0.5)
     assert way(0.3, 0.5) == pytest.approx(0.3)
     assert way(0.5, -0.2) > way(0.2, -0.2) > way(0.0, -0.2)
+
+
+def test_an_agent_is_paid_for_what_it_senses_first() -> None:
+    """Of 256 points 0.125 m apart, 24 are within 0.35 m of the middle, and 6 of a corner."""
+    search = Search(BlindDiscovery(n_agents=3), 2)
+    middle, corner, other = [0.0, 0.0], [1.0, 1.0], [-1.0, -1.0]
+    alone, together = [middle, corner, other], [middle, middle, other]
+    np.testing.assert_array_equal(
+        256 * search.newly_sensed(np.array([alone, together])), [[24, 6, 6], [24, 24, 6]]
+    )
+    again = 256 * search.newly_sensed(np.array([alone, alone]))
+    np.testing.assert_array_equal(again, [[0, 0, 0], [0, 6, 0]])
+    search.begin(np.array([1]))
+    np.testing.assert_array_equal(
+        256 * search.newly_sensed(np.array([alone, alone])), [[0, 0, 0], [24, 6, 6]]
+    )
+
+
+def test_what_was_sensed_is_forgotten_when_an_episode_ends() -> None:
+    """An agent at rest is paid in the first step of an episode only, in which it senses where it starts."""
+    task = make_task("blind_discovery_v0", 1)
+    env = TeamVecEnv(task, 1, seed=0, max_cycles=3, shaping=Shaping(search_reward=2.0))
+    env.reset()
+    paid, ended = [], []
+    for _ in range(9):
+        env.step_async(np.zeros((1, 1, 2), np.float32))
+        _, reward, done, _ = env.step_wait()
+        paid.append(reward[0, 0] > 0)
+        ended.append(done[0])
+    assert paid == [True, *ended[:-1]]
+    assert sum(ended) >= 2

@@ -34,7 +34,7 @@ class Performance:
     max_cycles: int
     with_messages: dict[str, float | None]
     without_messages: dict[str, float | None]  # F(identity): every agent hears itself only
-    # nats, over the episodes with messages; log N: uniform attention; None: the policy has none that sums to 1
+    # nats, over the episodes with messages; log N: uniform; None: the policy has no attention that sums to 1
     attention_entropy: float | None
     # Success and reward with messages minus without, paired by episode: {metric: {value, low, high}}, 95 %.
     # Empty in older cards.

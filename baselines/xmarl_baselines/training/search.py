@@ -30,7 +30,7 @@ class Search:
         self._sensed[teams] = False
 
     def newly_sensed(self, position: Floats) -> NDArray[np.float32]:
-        """(B, N, 2) m -> (B, N): share of the arena that each agent senses, and nobody of its team did before.
+        """(B, N, 2) m -> (B, N): share of the arena that each agent senses, and nobody of its team had.
 
         Agents that sense a point at the same time all get it.
         """

@@ -44,8 +44,9 @@ class TeamVecEnv(OneObjectVecEnv):
         self._env = VectorEnv(task, n_envs, max_cycles, copies_per_space)
         self._rng = np.random.default_rng(seed)
         self._actions: NDArray[np.float32] = np.zeros((n_envs, task.n_agents, 2), np.float32)
-        searched = isinstance(task, BlindDiscovery) and self.shaping.search_reward != 0
-        self._search = Search(task, n_envs) if searched else None
+        self._search: Search | None = None
+        if isinstance(task, BlindDiscovery) and self.shaping.search_reward:
+            self._search = Search(task, n_envs)
         self._return = np.zeros(n_envs)
         self._collided = np.zeros(n_envs, dtype=bool)
 

@@ -21,7 +21,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.metrics.table import UNDER_ABSENCES
 from xmarl_bench.plugins.registry import find_explainer
-from xmarl_bench.policy import GraphPolicy, Policy, load_policy
+from xmarl_bench.policy import Architecture, GraphPolicy, Policy, load_policy
 from xmarl_bench.records.files import canonical_json
 from xmarl_bench.reproducible import PUBLIC_SEEDS, derived_seed, episode_seeds
 from xmarl_bench.rollout.cell import Cell, Sampling
@@ -160,6 +160,7 @@ class Gated(GraphPolicy):
 @pytest.mark.slow
 def test_attention_that_does_not_sum_to_1_has_no_entropy(make_bundle: MakeBundle) -> None:
     policy, card = load_policy(make_bundle())
+    assert isinstance(policy.architecture, Architecture)
     gated = Gated(policy.architecture).eval()
     gated.load_state_dict(policy.state_dict())
     request = Request(

@@ -123,7 +123,7 @@ RECIPES: dict[str, Recipe] = {
     ),
     "blind_discovery_v0": Recipe(
         task="blind_discovery_v0",
-        frames=10_240_000,
+        frames=5_120_000,
         n_envs=256,
         n_steps=200,
         n_epochs=2,

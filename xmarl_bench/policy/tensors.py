@@ -12,7 +12,10 @@ from xmarl_bench.errors import InputError
 
 
 def check_tensors(network: nn.Module, name: str) -> None:
-    """Raise InputError if weights are not float32 on the CPU, or cannot take part in gradients."""
+    """Raise InputError if weights are not dense float32 on the CPU, or cannot take part in gradients.
+
+    Also for a state beside the tensors (`get_extra_state`), by which equal weights could act differently.
+    """
     for key, tensor in chain(network.named_parameters(), network.named_buffers()):
         if is_lazy(tensor):
             problem, remedy = (
@@ -21,6 +24,8 @@ def check_tensors(network: nn.Module, name: str) -> None:
             )
         elif tensor.device.type != "cpu":
             problem, remedy = f"is on {tensor.device}", 'move the network with .to("cpu")'
+        elif tensor.layout != torch.strided:
+            problem, remedy = "is sparse", "make it dense with .to_dense()"
         elif tensor.is_floating_point() and tensor.dtype != torch.float32:
             problem, remedy = f"is {str(tensor.dtype).removeprefix('torch.')}", "convert it with .float()"
         elif tensor.is_inference():
@@ -28,3 +33,9 @@ def check_tensors(network: nn.Module, name: str) -> None:
         else:
             continue
         raise InputError(f"tensor {key!r} of policy {name!r} {problem}: {remedy}.")
+    for key, value in network.state_dict().items():
+        if not isinstance(value, torch.Tensor):
+            raise InputError(
+                f"policy {name!r} keeps a {type(value).__name__} in {key!r} beside its tensors "
+                f"(get_extra_state): keep it in buffers."
+            )

@@ -82,6 +82,19 @@ def made_in_inference_mode() -> nn.Module:
         return OneLayer()
 
 
+def with_a_sparse_tensor() -> nn.Module:
+    network = OneLayer()
+    network.register_buffer("neighbours", torch.eye(3).to_sparse())
+    return network
+
+
+class Counts(OneLayer):
+    def get_extra_state(self) -> dict[str, int]:
+        return {"episodes": 3}
+
+    def set_extra_state(self, state: object) -> None: ...
+
+
 def module(network: nn.Module) -> PolicyModule:
     return PolicyModule("mine", network, task="blind_navigation_v0", n_agents=3)
 
@@ -96,11 +109,18 @@ def module(network: nn.Module) -> PolicyModule:
             made_in_inference_mode,
             "was made in torch.inference_mode: make the network outside",
         ),
+        (with_a_sparse_tensor, r"is sparse: make it dense with .to_dense\(\)."),
     ],
 )
 def test_networks_that_cannot_be_scored_are_refused(make: Callable[[], nn.Module], said: str) -> None:
     with pytest.raises(InputError, match=f"of policy 'mine' {said}"):
         score(module(make()), "attention", episodes=1, max_cycles=2)
+
+
+def test_a_state_beside_the_tensors_is_refused() -> None:
+    """Two networks with equal weights would count as one policy."""
+    with pytest.raises(InputError, match=r"policy 'mine' keeps a dict in '_extra_state' beside its tensors"):
+        score(module(Counts()), "attention", episodes=1, max_cycles=2)
 
 
 def test_policies_changed_after_loading_are_refused(make_bundle: MakeBundle) -> None:

@@ -20,6 +20,7 @@ from xmarl_bench.checks.findings import Failed, Finding, NotApplicable, run_chec
 from xmarl_bench.counted import counted
 from xmarl_bench.errors import InputError
 from xmarl_bench.explain.effect import action_change
+from xmarl_bench.metrics.attention_entropy import TOLERANCE
 from xmarl_bench.metrics.statistics import over_units
 from xmarl_bench.policy import ActionDistribution, Policy
 from xmarl_bench.policy.interventions import check_blind, check_receivers
@@ -140,7 +141,7 @@ def attends(subject: PolicySubject) -> str:
     total = alpha.sum(dim=-1)
     heard = total if adjacency is None else total[adjacency.any(dim=-1)]
     off = float((heard - 1.0).abs().max()) if heard.numel() else 0.0
-    if off > ROUNDING or float(alpha.min()) < 0:
+    if off > TOLERANCE or float(alpha.min()) < 0:
         raise Failed(
             f"rows of the attention sum to 1 +- {off:.2g}: return a distribution over senders, as explainers "
             f"expect."

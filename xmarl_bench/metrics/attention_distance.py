@@ -18,13 +18,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from xmarl_bench.metrics.attention_entropy import are_shares
+
 
 def attention_distance(
     attention: NDArray[np.floating], edges: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
-    """(..., N, N) attention, rows sum to 1 -> (...) D(alpha).
+    """(..., N, N) attention -> (...) D(alpha); NaN where rows do not sum to 1.
 
     edges: (..., N, N), the edges of the graph, None for all: other edges are in neither graph compared.
     """
     difference = np.abs(2.0 * attention.astype(np.float64) - 1.0)
-    return np.asarray((difference if edges is None else difference * edges).sum(axis=(-2, -1)))
+    distance = (difference if edges is None else difference * edges).sum(axis=(-2, -1))
+    return np.where(are_shares(attention), distance, np.nan)

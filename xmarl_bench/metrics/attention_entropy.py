@@ -7,13 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-TOLERANCE: Final = 1e-3  # of a sum of coefficients in half precision
+TOLERANCE: Final = 1e-3  # covers the rounding of coefficients in half precision
 
 
 def are_shares(attention: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """(S, N, N) -> (S,): whether every receiver's coefficients sum to 1, or to 0 if it hears nobody.
+    """(..., N, N) -> (...): whether every receiver's coefficients sum to 1, or to 0 if it hears nobody.
 
-    Those of a gate or of a layer that adds up heads do not, and have no entropy.
+    Coefficients of gates, or of heads that are added up, do not.
     """
     total = attention.astype(np.float64).sum(axis=-1)
     whole = (np.abs(total - 1.0) < TOLERANCE) | (np.abs(total) < TOLERANCE)

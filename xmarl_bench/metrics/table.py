@@ -55,7 +55,7 @@ class Need(StrEnum):
     SUCCESS = "a task that tells success"
     COLLISIONS = "a task that tells collisions"
     ATTENTION = "attention"
-    SHARES = "attention that sums to 1"
+    SHARES = "coefficients that sum to 1"
 
 
 @dataclass(frozen=True)
@@ -317,7 +317,7 @@ METRICS: tuple[Metric, ...] = (
     Metric(
         "attention_distance", "D(alpha)", "how far attention is from its complement",
         "D(alpha) = sum over edges of |2 alpha - 1|",
-        Group.POLICY, NOT_NEGATIVE, needs=(Need.ATTENTION,), column=3,
+        Group.POLICY, NOT_NEGATIVE, needs=(Need.ATTENTION, Need.SHARES), column=3,
     ),
     Metric(
         "success_gain", "success gained by messages", "success with messages less success without",

@@ -108,6 +108,10 @@ def _made(factory: object, name: str) -> PolicyModule:
 
 
 def _weights_sha256(network: nn.Module) -> str:
-    """SHA-256 of the weights as safetensors; tensors that share memory are written twice."""
-    state = {name: tensor.detach().clone().contiguous() for name, tensor in network.state_dict().items()}
+    """SHA-256 of the tensors as safetensors, also of buffers that are not saved.
+
+    Tensors that share memory are written twice.
+    """
+    tensors = {**dict(network.named_buffers()), **network.state_dict()}
+    state = {name: tensor.detach().clone().contiguous() for name, tensor in tensors.items()}
     return hashlib.sha256(save(state)).hexdigest()

@@ -74,10 +74,10 @@ class Policy(nn.Module, ABC):
 
     @abstractmethod
     def attention(self, observation: Tensor) -> Tensor:
-        """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers.
+        """(S, N, D) -> (S, N, N): the mean of the coefficients over heads and layers.
 
-        0 where the graph has no edge, so a receiver without edges has a row of zeros. Raises NoAttentionError
-        if no layer has attention.
+        Rows sum to 1 if a layer's coefficients do; those of gates do not. 0 where the graph has no edge, so a
+        receiver without edges has a row of zeros. Raises NoAttentionError if no layer has attention.
         """
 
     def why_no_attention(self, observation: Tensor) -> str | None:

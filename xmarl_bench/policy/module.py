@@ -112,7 +112,7 @@ class ModulePolicy(Policy):
         return self._head(raw.view(*shape, n_agents, -1))
 
     def attention(self, observation: Tensor) -> Tensor:
-        """(S, N, D) -> (S, N, N), rows sum to 1: the mean of the coefficients over heads and layers.
+        """(S, N, D) -> (S, N, N): the mean of the coefficients over heads and layers.
 
         See xmarl_bench.policy.attention for how they are read. Raises NoAttentionError if no layer has.
         """

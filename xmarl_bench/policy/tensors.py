@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
+from typing import Final
 
 import torch
 from torch import nn
@@ -10,11 +11,13 @@ from torch.nn.parameter import is_lazy
 
 from xmarl_bench.errors import InputError
 
+EXTRA_STATE: Final = "_extra_state"  # torch's name in a state dict for what `get_extra_state` returns
+
 
 def check_tensors(network: nn.Module, name: str) -> None:
-    """Raise InputError if weights are not dense float32 on the CPU, or cannot take part in gradients.
+    """Raise InputError if a tensor is not dense float32 on the CPU, or cannot take part in gradients.
 
-    Also for a state beside the tensors (`get_extra_state`), by which equal weights could act differently.
+    Also if the network has a state beside its tensors (`get_extra_state`), which their hash does not cover.
     """
     for key, tensor in chain(network.named_parameters(), network.named_buffers()):
         if is_lazy(tensor):
@@ -25,7 +28,8 @@ def check_tensors(network: nn.Module, name: str) -> None:
         elif tensor.device.type != "cpu":
             problem, remedy = f"is on {tensor.device}", 'move the network with .to("cpu")'
         elif tensor.layout != torch.strided:
-            problem, remedy = "is sparse", "make it dense with .to_dense()"
+            layout = str(tensor.layout).removeprefix("torch.")
+            problem, remedy = f"has layout {layout}", "make it dense with .to_dense()"
         elif tensor.is_floating_point() and tensor.dtype != torch.float32:
             problem, remedy = f"is {str(tensor.dtype).removeprefix('torch.')}", "convert it with .float()"
         elif tensor.is_inference():
@@ -34,8 +38,8 @@ def check_tensors(network: nn.Module, name: str) -> None:
             continue
         raise InputError(f"tensor {key!r} of policy {name!r} {problem}: {remedy}.")
     for key, value in network.state_dict().items():
-        if not isinstance(value, torch.Tensor):
+        if key.rpartition(".")[2] == EXTRA_STATE:
             raise InputError(
-                f"policy {name!r} keeps a {type(value).__name__} in {key!r} beside its tensors "
-                f"(get_extra_state): keep it in buffers."
+                f"policy {name!r} keeps a {type(value).__name__} in {key!r} (get_extra_state) beside its "
+                f"tensors: register it as a buffer."
             )

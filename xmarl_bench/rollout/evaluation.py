@@ -119,5 +119,6 @@ def _attention_entropy(policy: Policy, episodes: Sequence[Episode]) -> float | N
             attention = [policy.attention(torch.tensor(episode.observations)) for episode in episodes]
         except NoAttentionError:
             return None
-    mean = float(np.mean([attention_entropy(alpha.numpy()).mean() for alpha in attention]))
-    return None if isnan(mean) else mean
+    means = [float(attention_entropy(alpha.numpy()).mean()) for alpha in attention]
+    told = [mean for mean in means if not isnan(mean)]
+    return float(np.mean(told)) if told else None

@@ -74,7 +74,7 @@ def cell_result(
     of_pieces = [[results.get(piece) for piece in pieces] for pieces in needed]
     episodes, mute, shared, explained = (list(chain(*each)) for each in of_pieces[:4])
     played, absences, by_chance, by_chance_absences = of_pieces[4:]
-    reasons = not_measured(request, cell, episodes)
+    reasons = not_measured(request, cell, episodes, shared)
     rows = tuple(
         episode_row(cell, *parts)
         for parts in zip(

@@ -6,21 +6,22 @@ from collections.abc import Sequence
 from math import isfinite, isnan
 
 import torch
-from torch import Tensor
 
 from xmarl_bench.explain.oracle import why_no_oracle
-from xmarl_bench.metrics.attention_entropy import are_shares
 from xmarl_bench.metrics.table import METRICS, Need
-from xmarl_bench.policy import GraphPolicy, Policy
+from xmarl_bench.policy import GraphPolicy
 from xmarl_bench.rollout.cell import Cell
 from xmarl_bench.rollout.episodes import Episode
 from xmarl_bench.scoring.behaviour import why_no_behaviour
+from xmarl_bench.scoring.measure import Shared
 from xmarl_bench.scoring.request import Request
 from xmarl_bench.tasks.parallel_task import AGENT_COLLISION, OBJECT_COLLISION, SUCCESS_KEYS
 
 
-def not_measured(request: Request, cell: Cell, episodes: Sequence[Episode]) -> dict[str, str]:
-    """Metric -> reason, without a full stop. episodes: those that are scored."""
+def not_measured(
+    request: Request, cell: Cell, episodes: Sequence[Episode], shared: Sequence[Shared]
+) -> dict[str, str]:
+    """Metric -> reason, without a full stop. episodes: those that are scored. shared: measured in each."""
     policy, explainer, n_agents = request.policy, request.explainer, cell.n_agents
     unknown = "needs a policy with one layer of one head, whose coefficients are known"
     deterministic = request.card.architecture.distribution == "deterministic"
@@ -30,8 +31,7 @@ def not_measured(request: Request, cell: Cell, episodes: Sequence[Episode]) -> d
     not_played = (
         why_no_behaviour(explainer, n_agents) or "not asked for, since it asks the explainer at every step"
     )
-    seen = torch.tensor(episodes[0].observations[:1])
-    no_attention = policy.why_no_attention(seen)
+    no_attention = policy.why_no_attention(torch.tensor(episodes[0].observations[:1]))
     finite = any(isfinite(episode.reward) for episode in episodes)
     hits = _untold("no_object_collision", OBJECT_COLLISION, episodes)
     # The reason why a need is not met; None or empty if it is met.
@@ -48,15 +48,15 @@ def not_measured(request: Request, cell: Cell, episodes: Sequence[Episode]) -> d
         Need.COLLISIONS: _untold("no_agent_collision", AGENT_COLLISION, episodes),
         Need.WALLS: hits if cell.make().has_objects else "the task has no walls",
         Need.ATTENTION: no_attention,
-        Need.SHARES: None if no_attention else _no_shares(policy, seen),
+        Need.SHARES: None if no_attention else _no_shares(shared),
     }
     first = {metric.name: next(filter(None, map(reasons.get, metric.needs)), None) for metric in METRICS}
     return {name: reason for name, reason in first.items() if reason is not None}
 
 
-def _no_shares(policy: Policy, observation: Tensor) -> str | None:
-    """observation: (1, N, D)."""
-    if are_shares(policy.attention(observation).detach().numpy()).all():
+def _no_shares(shared: Sequence[Shared]) -> str | None:
+    """The reason if attention sums to 1 in no episode."""
+    if any(each.policy.attention_entropy is not None for each in shared):
         return None
     return "the coefficients of the policy's attention do not sum to 1"
 

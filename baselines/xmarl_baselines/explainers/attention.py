@@ -2,7 +2,7 @@
 
 Paper: Kailas, Jain and Ravichandar (ICML 2025), who ask when attention explains a team; for graphs,
 Velickovic et al. (ICLR 2018). Formula: mask[i, j] = alpha_ij, with alpha_i = softmax_j of the scores of
-receiver i. Every row sums to 1, so the mask mass is 1 / N for every policy.
+receiver i. Rows of a softmax sum to 1, so the mask mass is then 1 / N.
 
 Departures: heads and layers are averaged, so that a row sums to 1. PyG's AttentionExplainer takes the
 maximum, so rows of several heads exceed 1. With one head and one layer the two agree (tested).
@@ -19,7 +19,7 @@ from xmarl_bench.policy import Policy
 
 
 def attention_mask(policy: Policy, observations: Tensor, generator: torch.Generator) -> Tensor:
-    """(S, N, D) -> (S, N, N), rows sum to 1."""
+    """(S, N, D) -> (S, N, N)."""
     with torch.no_grad():
         return by_chunks(observations, lambda steps: policy.attention(observations[steps]))
 

@@ -1,6 +1,6 @@
-"""How much of the arena agents sense for the first time: what is paid for searching in discovery.
+"""What is paid for searching in discovery: the share of the arena that an agent is first to sense.
 
-Without it a team is paid for a landmark only, and learns to sweep the part in which most are found.
+Without it weak seeds sweep a part of the arena and stand still (baselines/README.md).
 """
 
 from __future__ import annotations
@@ -10,29 +10,27 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from xmarl_envs import BlindDiscovery
-from xmarl_envs.task import Floats
 
-SPACING: Final = 0.125  # m between the points at which the arena is measured
+POINTS: Final = 16  # along each side of the square of points that stands for the arena
 
 
 class Search:
     """Which points of the arena each of B teams has sensed in its episode."""
 
     def __init__(self, task: BlindDiscovery, n_teams: int) -> None:
-        points = round(2 * task.bound / SPACING)
-        line = task.bound * ((2 * np.arange(points) + 1) / points - 1)
+        line = task.bound * ((2 * np.arange(POINTS) + 1) / POINTS - 1)
         self._points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2).astype(np.float32)
         self._reach = np.float32(task.sensing_range**2)
         self._sensed = np.zeros((n_teams, len(self._points)), dtype=np.bool_)
 
     def begin(self, teams: NDArray[np.integer] | slice) -> None:
-        """Episodes of these teams begin."""
+        """Forget what these teams sensed: their episodes begin."""
         self._sensed[teams] = False
 
-    def newly_sensed(self, position: Floats) -> NDArray[np.float32]:
-        """(B, N, 2) m -> (B, N): share of the arena that each agent senses, and nobody of its team had.
+    def newly_sensed(self, position: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(B, N, 2) m -> (B, N): share of the arena that an agent senses, and nobody of its team had sensed.
 
-        Agents that sense a point at the same time all get it.
+        Agents that sense a point in the same step all get it.
         """
         place = position.astype(np.float32)
         dx, dy = (place[..., axis, None] - self._points[:, axis] for axis in (0, 1))

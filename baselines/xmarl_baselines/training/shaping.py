@@ -21,7 +21,7 @@ class Shaping:
     individual_progress: bool = False  # navigation: each agent is paid for its own distance
     through_gap: bool = False  # passage: distance is measured through the gap, not through the wall
     landmark_progress: float = 0.0  # discovery: per metre nearer to the landmark while anyone senses it
-    search_reward: float = 0.0  # discovery: per share of the arena that nobody of the team had sensed
+    search_reward: float = 0.0  # discovery: for the whole arena; an agent gets the share it is first to sense
     arrival_bonus: float = 0.0  # to every agent when the team is done
     time_penalty: float = 0.0  # per step to an agent away from its goal
 
@@ -34,7 +34,7 @@ class Shaping:
 def training_reward(task: Task, shaping: Shaping, before: Floats, state: State, step: Step) -> Floats:
     """(B, N) reward of the step that led from positions `before` (B, N, 2) to `state`.
 
-    Without `search_reward`, which depends on the steps before (see `TeamVecEnv`).
+    `TeamVecEnv` adds `search_reward`, which depends on earlier steps.
     """
     reward = _shaped(task, shaping, before, state, step)
     reward = reward + shaping.arrival_bonus * step.terminated[:, None]

@@ -188,13 +188,18 @@ def _progress(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
     if not settings.exists():
         write_json(settings, run.settings())
         return None
-    if read_run_file(settings, lambda record: record) != run.settings():
+    if read_run_file(settings, _settings) != _settings(run.settings()):
         raise InputError(f"{folder} holds a run with other settings: choose another --out, or remove it.")
     if not resume:
         raise InputError(f"{folder} holds this run already: add --resume to go on with it, or remove it.")
     if not progress.exists():
         return None
     return read_run_file(progress, lambda done: (int(done["frames"]), float(done["seconds"])))
+
+
+def _settings(record: dict[str, Any]) -> dict[str, Any]:
+    """What an older trainer did not write has its default."""
+    return {**record, "recipe": Recipe.from_dict(record["recipe"])} if "recipe" in record else record
 
 
 def _restore(model: MAPPO, checkpoint: Path) -> None:

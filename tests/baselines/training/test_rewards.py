@@ -93,16 +93,17 @@ def test_an_agent_is_paid_for_what_it_senses_first() -> None:
     )
 
 
-def test_what_was_sensed_is_forgotten_when_an_episode_ends() -> None:
-    """An agent at rest is paid in the first step of an episode only, in which it senses where it starts."""
-    task = make_task("blind_discovery_v0", 1)
-    env = TeamVecEnv(task, 1, seed=0, max_cycles=3, shaping=Shaping(search_reward=2.0))
-    env.reset()
-    paid, ended = [], []
+def test_an_agent_at_rest_is_paid_once_in_an_episode_for_where_it_starts() -> None:
+    task = BlindDiscovery(n_agents=1)
+    env = TeamVecEnv(task, 1, seed=0, max_cycles=3, shaping=Shaping(scale=0.5, search_reward=3.0))
+    place, paid, expected, ended = env.reset()[..., :2], [], [], [True]
     for _ in range(9):
+        share = Search(task, 1).newly_sensed(place)[0, 0]
         env.step_async(np.zeros((1, 1, 2), np.float32))
-        _, reward, done, _ = env.step_wait()
-        paid.append(reward[0, 0] > 0)
+        observation, reward, done, _ = env.step_wait()
+        place = observation[..., :2]
+        paid.append(reward[0, 0])
+        expected.append(0.5 * 3.0 * share * ended[-1])
         ended.append(done[0])
-    assert paid == [True, *ended[:-1]]
-    assert sum(ended) >= 2
+    np.testing.assert_allclose(paid, expected, rtol=1e-6)
+    assert sum(ended) >= 3

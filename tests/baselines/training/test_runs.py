@@ -53,6 +53,9 @@ def test_an_interrupted_run_continues_from_its_checkpoint(tmp_path: Path) -> Non
         train(run, folder)
     with pytest.raises(InputError, match="other settings"):
         train(replace(run, seed=1), folder, resume=True)
+    settings = json.loads((folder / "settings.json").read_text())
+    del settings["recipe"]["shaping"]["search_reward"]  # as an older trainer wrote it
+    (folder / "settings.json").write_text(json.dumps(settings))
     seen: list[int] = []
     train(run, folder, resume=True, report=lambda frames, _: seen.append(frames))
     assert seen[0] == 160

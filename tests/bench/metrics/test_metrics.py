@@ -125,11 +125,13 @@ def test_attention_entropy_by_hand() -> None:
     np.testing.assert_allclose(received, [math.log(3), 0.0, math.log(2) / 3], atol=1e-15)
 
 
-def test_coefficients_that_are_no_shares_have_no_entropy() -> None:
+def test_attention_that_does_not_sum_to_1_has_no_entropy() -> None:
     nobody = np.diag([1.0, 1.0, 0.0])  # the last agent hears nobody
     gates, signed = np.full((3, 3), 0.5), np.full((3, 3), 1 / 3) + np.array([1.0, -1.0, 0.0])
     received = attention_entropy(np.stack([nobody, gates, signed, np.eye(3)]).astype(np.float32))
     np.testing.assert_array_equal(received, [0.0, np.nan, np.nan, 0.0])
+    distance = attention_distance(np.stack([nobody, gates, signed, np.eye(3)]))
+    np.testing.assert_array_equal(distance, [9.0, np.nan, np.nan, 9.0])
 
 
 def test_attention_distance_by_hand() -> None:

@@ -13,6 +13,8 @@ from tests.bench.scoring.test_score import bytes_of
 from tests.conftest import MakeBundle
 from tests.helpers.gatv2 import OneLayer
 from xmarl_bench.errors import InputError
+from xmarl_bench.origin.references import origin_of
+from xmarl_bench.plugins.code_policies import open_module
 from xmarl_bench.policy import load_policy
 from xmarl_bench.policy.policy_module import PolicyModule
 from xmarl_bench.rollout.cell import Cell, Sampling
@@ -109,7 +111,7 @@ def module(network: nn.Module) -> PolicyModule:
             made_in_inference_mode,
             "was made in torch.inference_mode: make the network outside",
         ),
-        (with_a_sparse_tensor, r"is sparse: make it dense with .to_dense\(\)."),
+        (with_a_sparse_tensor, r"has layout sparse_coo: make it dense with .to_dense\(\)."),
     ],
 )
 def test_networks_that_cannot_be_scored_are_refused(make: Callable[[], nn.Module], said: str) -> None:
@@ -119,8 +121,19 @@ def test_networks_that_cannot_be_scored_are_refused(make: Callable[[], nn.Module
 
 def test_a_state_beside_the_tensors_is_refused() -> None:
     """Two networks with equal weights would count as one policy."""
-    with pytest.raises(InputError, match=r"policy 'mine' keeps a dict in '_extra_state' beside its tensors"):
+    with pytest.raises(InputError, match=r"policy 'mine' keeps a dict in '_extra_state' \(get_extra_state\)"):
         score(module(Counts()), "attention", episodes=1, max_cycles=2)
+
+
+def test_buffers_that_are_not_saved_count_for_the_hash_of_the_weights() -> None:
+    networks = [OneLayer(), OneLayer(), OneLayer()]
+    for network, scale in zip(networks, (1.0, 1.0, 2.0), strict=True):
+        network.load_state_dict(networks[0].state_dict())
+        network.register_buffer("scale", torch.tensor(scale), persistent=False)
+    one, same, other = (
+        open_module(module(network), origin_of(network))[1].weights_sha256 for network in networks
+    )
+    assert one == same != other
 
 
 def test_policies_changed_after_loading_are_refused(make_bundle: MakeBundle) -> None:

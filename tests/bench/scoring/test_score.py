@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -28,6 +29,7 @@ from xmarl_bench.rollout.cell import Cell, Sampling
 from xmarl_bench.rollout.evaluation import evaluate
 from xmarl_bench.scoring.request import Request, plan
 from xmarl_bench.scoring.score import entries_of, score, score_requests
+from xmarl_bench.submission.consistency import entry_findings
 from xmarl_bench.submission.rounding import CLOSE
 
 
@@ -150,29 +152,43 @@ def test_metrics_that_are_not_measured_have_a_reason(make_bundle: MakeBundle) ->
     }  # fmt: skip
 
 
-class Gated(GraphPolicy):
-    """Says that its coefficients are twice what they are, as those of a layer that adds up two heads."""
+class Doubled(GraphPolicy):
+    """Its coefficients sum to 2 in some states, as those of a layer that adds up two heads."""
+
+    where: Callable[[Tensor], Tensor]  # (S, N, D) -> (S,), 1 or 2
 
     def attention(self, observation: Tensor) -> Tensor:
-        return 2.0 * super().attention(observation)
+        return super().attention(observation) * self.where(observation)[:, None, None]
 
 
 @pytest.mark.slow
-def test_attention_that_does_not_sum_to_1_has_no_entropy(make_bundle: MakeBundle) -> None:
+@pytest.mark.parametrize(
+    ("where", "measured"),
+    [
+        (lambda x: torch.full((len(x),), 2.0), [False, False]),
+        (lambda x: 1.0 + (x[:, 0, 2:4].abs().sum(dim=-1) > 0), [False, False]),  # but the first step, at rest
+        (lambda x: 1.0 + (x[:, 0, 1] > 0), [True, False]),  # the second episode starts there
+    ],
+    ids=["everywhere", "in motion", "in one episode"],
+)
+def test_attention_that_does_not_sum_to_1_has_no_entropy(
+    where: Callable[[Tensor], Tensor], measured: list[bool], make_bundle: MakeBundle
+) -> None:
     policy, card = load_policy(make_bundle())
     assert isinstance(policy.architecture, Architecture)
-    gated = Gated(policy.architecture).eval()
-    gated.load_state_dict(policy.state_dict())
-    request = Request(
-        gated, card, find_explainer("random"), (Cell(card.task, 3),), Sampling(2, max_cycles=3), 0
-    )
+    doubled = Doubled(policy.architecture).eval()
+    doubled.load_state_dict(policy.state_dict())
+    doubled.where = where
+    sampling, cells = Sampling(2, max_cycles=3), (Cell(card.task, 3),)
+    request = Request(doubled, card, find_explainer("random"), cells, sampling, 0)
     (entry,) = entries_of(score_requests([request]))
     (result,) = entry.results
-    assert "do not sum to 1" in result.not_measured["attention_entropy"]
-    assert result.metrics.attention_entropy is None
-    assert result.metrics.attention_distance is not None
-    (performance,) = evaluate([(gated, Cell(card.task, 3))], Sampling(2, max_cycles=3))
-    assert performance.attention_entropy is None
+    for name in ("attention_entropy", "attention_distance"):
+        assert [getattr(row, name) is not None for row in result.episodes] == measured
+        assert (name in result.not_measured) is not any(measured)
+    assert not [finding for finding in entry_findings(entry) if "attention_" in finding]
+    (performance,) = evaluate([(doubled, cells[0])], sampling)
+    assert (performance.attention_entropy is not None) is any(measured)
 
 
 @pytest.mark.slow

@@ -50,9 +50,9 @@ quick: $(STAMP)  ## Run the tests that take half a minute together
 test: lint  ## Run all checks: lint, types and the whole test suite
 	$(MAKE) --jobs 2 type suite
 
-# Tests wait for processes that they start: four at a time keep two cores busy.
+# Tests wait for processes that they start: three at a time keep two cores busy.
 suite: $(STAMP)
-	$(BIN)/python -m pytest --numprocesses 4
+	$(BIN)/python -m pytest --numprocesses 3
 
 test-pythons:  ## Test on every Python at hand what needs no torch; WHOLE=1: everything
 	$(PYTHON) tests/pythons.py $(if $(WHOLE),--whole)

@@ -31,7 +31,6 @@ def not_measured(
     not_played = (
         why_no_behaviour(explainer, n_agents) or "not asked for, since it asks the explainer at every step"
     )
-    no_attention = policy.why_no_attention(torch.tensor(episodes[0].observations[:1]))
     finite = any(isfinite(episode.reward) for episode in episodes)
     hits = _untold("no_object_collision", OBJECT_COLLISION, episodes)
     # The reason why a need is not met; None or empty if it is met.
@@ -47,8 +46,8 @@ def not_measured(
         Need.SUCCESS: _untold("success_rate", keys, episodes),
         Need.COLLISIONS: _untold("no_agent_collision", AGENT_COLLISION, episodes),
         Need.WALLS: hits if cell.make().has_objects else "the task has no walls",
-        Need.ATTENTION: no_attention,
-        Need.SHARES: None if no_attention else _no_shares(shared),
+        Need.ATTENTION: policy.why_no_attention(torch.tensor(episodes[0].observations[:1])),
+        Need.SHARES: _no_shares(shared),
     }
     first = {metric.name: next(filter(None, map(reasons.get, metric.needs)), None) for metric in METRICS}
     return {name: reason for name, reason in first.items() if reason is not None}

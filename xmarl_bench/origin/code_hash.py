@@ -31,6 +31,8 @@ from xmarl_bench.origin.installed import HARNESS, distribution_of, is_own, packa
 from xmarl_bench.origin.pickling import is_generated
 
 LOOKS_UP = ("LOAD_GLOBAL", "LOAD_NAME")
+# What a layer of torch_geometric keeps of its class's source; the first layer of a class keeps more.
+READ_FROM_CLASS = ("torch_geometric.inspector", "Inspector")
 _CACHED = type(functools.cache(len))
 NO_CONTENT = ("__dict__", "__weakref__", "__slotnames__", "_abc_impl")  # attributes of every class
 
@@ -91,7 +93,13 @@ class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
         self.installed: set[str] = set()  # top-level modules of other code
 
     def persistent_id(self, obj: object) -> object:
-        """For a set of strings its sorted content, because its order differs between processes."""
+        """What stands for strings and sets of strings, of which pickle keeps more than the content.
+
+        A string is written each time it occurs, because whether equal ones are one object depends on what ran
+        before; the order of a set differs between processes.
+        """
+        if isinstance(obj, str):  # encoded, a new object: pickle does not refer to an earlier one
+            return obj.encode(errors="surrogatepass")
         texts = isinstance(obj, set | frozenset) and all(isinstance(each, str) for each in obj)
         return (type(obj).__name__, sorted(obj)) if texts else None  # type: ignore[call-overload]
 
@@ -100,6 +108,8 @@ class _ByValue(cloudpickle.Pickler):  # type: ignore[misc]
             return _as("tensor", _content_of_tensor(obj))
         if isinstance(obj, CodeType):
             return _as("code", _content_of_code(obj))
+        if (type(obj).__module__, type(obj).__name__) == READ_FROM_CLASS:
+            return _as("inspector", None)
         name = obj.__name__ if isinstance(obj, ModuleType) else getattr(obj, "__module__", None)
         generated = isinstance(name, str) and is_generated(name)
         own = generated or (isinstance(name, str) and is_own(name))

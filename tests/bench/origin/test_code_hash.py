@@ -91,6 +91,21 @@ def test_a_float_in_a_policy_s_network_changes_the_hash() -> None:
     assert keys[0] == keys[2] != keys[1]
 
 
+def test_the_first_layer_of_a_class_has_the_hash_of_later_ones() -> None:
+    class Layer(SimpleConv):  # type: ignore[misc]
+        pass
+
+    assert object_sha256(Layer()) == object_sha256(Layer()) is not None
+
+
+def test_the_hash_does_not_depend_on_which_equal_strings_are_one_object() -> None:
+    word = "long enough"
+    other = "".join(["long ", "enough"])
+    assert word is not other
+    assert object_sha256([word, word]) == object_sha256([word, other]) != object_sha256([word, "else"])
+    assert object_sha256(["", "\udce4"]) == object_sha256(["", "\udce4"]) is not None
+
+
 def test_a_global_changes_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
     before = object_sha256(by_global)
     assert before is not None

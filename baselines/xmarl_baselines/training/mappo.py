@@ -5,8 +5,8 @@ critic, parameter sharing); Kailas et al. (ICML 2025), equation 1 (the attention
 
 Departures from SB3's PPO, all in `train`: ratios and advantages are per agent, the value loss is smooth L1,
 gradients of actor and critic are clipped separately (as in TorchRL, so that neither scales the other down),
-advantages are normalised over the rollout, and lambda * H(alpha) is added to the loss. `learn`,
-`collect_rollouts`, `save`, `load`, the logger and callbacks are SB3's.
+advantages are normalised over the rollout, and lambda * H(alpha) and a penalty of saturated actions are added
+to the loss. `learn`, `collect_rollouts`, `save`, `load`, the logger and callbacks are SB3's.
 """
 
 from __future__ import annotations
@@ -67,6 +67,8 @@ class MAPPO(PPO):
         attention_entropy: lambda, the weight of the mean attention entropy (nats) in the loss.
         attention_ramp: fraction of training over which lambda grows linearly from 0.
         attention_start: fraction of training before which lambda is 0.
+        saturation_penalty: weight in the loss of the mean square by which means of raw actions pass 3, where
+            tanh is 0.995. Without it they can grow without end, until ratios of probabilities are noise.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"TeamPolicy": TeamPolicy}
@@ -79,11 +81,13 @@ class MAPPO(PPO):
         attention_entropy: float = 0.0,
         attention_ramp: float = 0.0,
         attention_start: float = 0.0,
+        saturation_penalty: float = 0.0,
         **kwargs: Any,
     ) -> None:
         self.attention_entropy = attention_entropy
         self.attention_ramp = attention_ramp
         self.attention_start = attention_start
+        self.saturation_penalty = saturation_penalty
         kwargs.setdefault("rollout_buffer_class", TeamRolloutBuffer)
         super().__init__(*args, **kwargs)
 
@@ -155,12 +159,14 @@ class MAPPO(PPO):
             + self.vf_coef * value_loss
             - self.ent_coef * evaluation.entropy
             + self.attention_weight() * evaluation.attention_entropy
+            + self.saturation_penalty * evaluation.saturation
         )
         return loss, {
             "policy_loss": policy_loss.item(),
             "value_loss": value_loss.item(),
             "entropy": evaluation.entropy.item(),
             "attention_entropy": evaluation.attention_entropy.item(),
+            "saturation": evaluation.saturation.item(),
             "approx_kl": (ratio - 1.0 - log_ratio).mean().item(),
             "clip_fraction": ((ratio - 1.0).abs() > clip).float().mean().item(),
         }

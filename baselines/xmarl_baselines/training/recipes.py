@@ -29,6 +29,7 @@ class Recipe:
     clip_range: float = 0.2
     normalize_advantage: bool = True
     ent_coef: float = 1e-4
+    saturation_penalty: float = 0.0  # on means of raw actions beyond 3
     max_grad_norm: float = 1.0
     max_cycles: int | None = None  # of training episodes; None: the task's own
     attention_start: float = 0.3  # fraction of training without the attention-entropy term ...
@@ -112,13 +113,21 @@ RECIPES: dict[str, Recipe] = {
     ),
     "blind_passage_v0": Recipe(
         task="blind_passage_v0",
-        frames=9_600_000,
+        frames=7_200_000,
         n_envs=200,
         n_steps=150,
         n_epochs=4,
         batch_size=1500,
         learning_rate=1e-3,
-        shaping=Shaping(scale=0.05, agent_penalty=6.0, wall_penalty=1.5, through_gap=True),
+        saturation_penalty=0.1,
+        shaping=Shaping(
+            scale=0.05,
+            agent_penalty=6.0,
+            wall_penalty=1.5,
+            through_gap=True,
+            arrival_bonus=20.0,
+            time_penalty=0.2,
+        ),
         caution_growth=2.0,
     ),
     "blind_discovery_v0": Recipe(
@@ -141,7 +150,8 @@ RECIPES: dict[str, Recipe] = {
 # reward for searching yet.
 OF_FAMILY_PAPER: dict[str, dict[str, Any]] = {
     "blind_passage_v0": {
-        "shaping": Shaping(scale=0.05, agent_penalty=3.0, wall_penalty=0.5, through_gap=True)
+        "frames": 9_600_000,
+        "shaping": Shaping(scale=0.05, agent_penalty=3.0, wall_penalty=0.5, through_gap=True),
     },
     "blind_discovery_v0": {
         "frames": 10_240_000,

@@ -19,6 +19,8 @@ from xmarl_bench.policy.network import mlp
 
 SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 is too coarse beyond it
 
+SATURATED = 3.0  # tanh is 0.995 here: beyond it, larger means of raw actions change actions no more
+
 
 class Evaluation(NamedTuple):
     """What a PPO update needs from a batch of B team-steps."""
@@ -26,6 +28,7 @@ class Evaluation(NamedTuple):
     log_prob: Tensor  # (B, N)
     entropy: Tensor  # (), nats, of the TanhNormal, one sample per action
     attention_entropy: Tensor  # (), nats, mean over agents and batch
+    saturation: Tensor  # (), mean square by which |loc| passes SATURATED
 
 
 class TeamPolicy(ActorCriticPolicy):
@@ -84,7 +87,8 @@ class TeamPolicy(ActorCriticPolicy):
         # lower bound, so a negative weight on it drives actions into saturation.
         entropy = (normal.entropy() + _log_slope(normal.rsample())).sum(dim=-1).mean()
         attention = mean_attention_entropy(prepared.attention)
-        return Evaluation(log_prob(distribution, action), entropy, attention)
+        saturation = F.relu(distribution.loc.abs() - SATURATED).square().mean()
+        return Evaluation(log_prob(distribution, action), entropy, attention, saturation)
 
     def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]
         action: Tensor = self(observation, deterministic)[0]

@@ -171,6 +171,7 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None, device: str =
         attention_entropy=run.attention_entropy,
         attention_ramp=recipe.attention_ramp,
         attention_start=recipe.attention_start,
+        saturation_penalty=recipe.saturation_penalty,
         policy_kwargs={"architecture": recipe.architecture, "critic": recipe.critic},
         tensorboard_log=None if tensorboard is None else str(tensorboard),
         device=device,

@@ -85,6 +85,24 @@ def test_an_action_that_became_far_likelier_leaves_weights_finite() -> None:
     assert all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters())
 
 
+def test_means_of_raw_actions_beyond_3_cost_the_square_of_the_excess() -> None:
+    model = build(Run(small(saturation_penalty=0.1)), seed=0)
+    model.learn(160)
+    last = model.policy.actor.decoder[-1]
+    assert isinstance(last, torch.nn.Linear)
+    with torch.no_grad():
+        last.weight.zero_()
+        last.bias.copy_(torch.tensor([5.0, -3.5, 0.0, 0.0]))
+    samples = next(iter(model.rollout_buffer.minibatches(40, True)))
+    torch.manual_seed(0)
+    loss, measures = model._loss(samples)
+    assert measures["saturation"] == pytest.approx((2.0**2 + 0.5**2) / 2)
+    model.saturation_penalty = 0.0
+    torch.manual_seed(0)
+    without, _ = model._loss(samples)
+    assert (loss - without).item() == pytest.approx(0.1 * measures["saturation"], rel=1e-3)
+
+
 def test_attention_entropy_falls_under_a_large_lambda() -> None:
     def entropy(weight: float) -> float:
         recipe = small(frames=4800, n_epochs=4, attention_start=0.0, attention_ramp=0.0, learning_rate=3e-3)

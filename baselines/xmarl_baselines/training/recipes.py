@@ -146,8 +146,8 @@ RECIPES: dict[str, Recipe] = {
 
 
 # Without the residual, passage's penalties keep the team from the gap (0.02 success after 9.6 M frames), and
-# two epochs leave discovery at 0.36, four with the residual's noise bonus at 0.54. It was not trained with a
-# reward for searching yet.
+# two epochs leave discovery at 0.36, four with the residual's noise bonus at 0.54. A reward for searching and
+# half of the frames leave it at 0.63 (N = 3, one seed); with all frames it was not tried.
 OF_FAMILY_PAPER: dict[str, dict[str, Any]] = {
     "blind_passage_v0": {
         "frames": 9_600_000,

@@ -67,8 +67,8 @@ class MAPPO(PPO):
         attention_entropy: lambda, the weight of the mean attention entropy (nats) in the loss.
         attention_ramp: fraction of training over which lambda grows linearly from 0.
         attention_start: fraction of training before which lambda is 0.
-        saturation_penalty: weight in the loss of the mean square by which means of raw actions pass 3, where
-            tanh is 0.995. Without it they can grow without end, until ratios of probabilities are noise.
+        saturation_penalty: weight in the loss of the mean square by which means of raw actions pass
+            SATURATED. Without it they can grow without end, until ratios of probabilities are noise.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"TeamPolicy": TeamPolicy}

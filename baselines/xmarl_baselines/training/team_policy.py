@@ -18,7 +18,6 @@ from xmarl_bench.policy import ActionDistribution, Architecture, GraphPolicy
 from xmarl_bench.policy.network import mlp
 
 SATURATION = 1.0 - 1e-6  # actions are clamped to this before atanh; float32 is too coarse beyond it
-
 SATURATED = 3.0  # tanh is 0.995 here: beyond it, larger means of raw actions change actions no more
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import pytest
@@ -23,7 +23,7 @@ from xmarl_baselines.reference import (
 from xmarl_baselines.training.command import command_of, main, train_and_save, train_missing
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.model_selection import weights_at
-from xmarl_baselines.training.recipes import RECIPES, recipe_for
+from xmarl_baselines.training.recipes import RECIPES, Recipe, recipe_for
 from xmarl_baselines.training.shaping import Shaping
 from xmarl_baselines.training.trainer import Run
 
@@ -225,7 +225,8 @@ def test_a_shipped_policy_is_reproduced_by_the_run_that_its_card_records() -> No
         recorded = training["recipe"]
         # What an older card lacks has its default.
         shaping = {**asdict(Shaping()), **recorded["shaping"]}
-        recipe = {"saturation_penalty": 0.0, **recorded, "shaping": shaping}
+        defaults = {each.name: each.default for each in fields(Recipe)}
+        recipe = {**defaults, **recorded, "shaping": shaping}
         assert run.settings().items() <= {**training, "recipe": recipe}.items()
 
 

@@ -128,7 +128,6 @@ RECIPES: dict[str, Recipe] = {
             arrival_bonus=20.0,
             time_penalty=0.2,
         ),
-        caution_growth=2.0,
     ),
     "blind_discovery_v0": Recipe(
         task="blind_discovery_v0",

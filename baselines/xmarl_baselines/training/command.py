@@ -111,7 +111,7 @@ def command(
         run = run_named(reproduce)
     else:
         Cell(task, agents)  # raises if the task does not take a team of this size
-        recipe = recipe_for(task, family=family)
+        recipe = recipe_for(task, agents, family=family)
         if start_from is not None:
             _check_start(start_from, agents, recipe)
             recipe = recipe.fine_tuning()
@@ -216,7 +216,7 @@ def command_of(run: Run) -> str:
     """The command that trains this policy again."""
     if planned_runs().get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"
-    usual = recipe_for(run.recipe.task, family=run.recipe.family)
+    usual = recipe_for(run.recipe.task, run.n_agents, family=run.recipe.family)
     start = run.recipe.attention_start
     if run.start_from is not None:
         usual = usual.fine_tuning()

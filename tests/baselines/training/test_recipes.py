@@ -54,6 +54,17 @@ def test_family_paper_has_penalties_and_epochs_of_its_own() -> None:
     assert recipe_for("blind_passage_v0", family="paper", shaping=Shaping()).shaping == Shaping()
 
 
+def test_larger_teams_change_the_recipe_and_their_family_overrides_it() -> None:
+    navigation = [recipe_for("blind_navigation_v0", n).frames for n in (3, 4, 5, 8)]
+    assert navigation == [4_800_000, 7_200_000, 9_600_000, 9_600_000]
+    four, five = recipe_for("blind_passage_v0", 4), recipe_for("blind_passage_v0", 5)
+    assert four == recipe_for("blind_passage_v0")
+    assert (four.shaping.time_penalty, four.shaping.arrival_bonus, four.caution_growth) == (0.0, 0.0, 2.0)
+    assert (five.shaping.time_penalty, five.shaping.arrival_bonus, five.caution_growth) == (0.2, 20.0, 1.0)
+    assert recipe_for("blind_passage_v0", 5, family="paper") == recipe_for("blind_passage_v0", family="paper")
+    assert recipe_for("blind_passage_v0", 5, frames=64, batch_size=8).frames == 64
+
+
 def test_names_of_runs_state_their_settings() -> None:
     recipe = recipe_for("blind_navigation_v0")
     assert Run(recipe).name == "navigation-n3-residual-lambda0-seed0"

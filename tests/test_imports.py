@@ -81,11 +81,18 @@ def module_of(file: Path, root: Path) -> str:
     return ".".join(file.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
 
 
+@functools.cache
+def import_statements(file: Path) -> list[ast.Import | ast.ImportFrom]:
+    """All of a file, also inside functions."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def names_taken(file: Path) -> set[tuple[str, str]]:
     """(module, name) of every `from module import name` of a file, also inside functions."""
     return {
         (node.module, alias.name)
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        for node in import_statements(file)
         if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module
         for alias in node.names
     }
@@ -96,12 +103,11 @@ def names_handed_on(face: Path) -> dict[str, str]:
     return {name: module for module, name in names_taken(face)}
 
 
-@functools.cache
 def modules_imported(file: Path) -> set[str]:
     """Full names of all modules that a file imports from, also inside functions."""
     plain = {
         alias.name
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        for node in import_statements(file)
         if isinstance(node, ast.Import)
         for alias in node.names
     }

@@ -106,10 +106,7 @@ def names_handed_on(face: Path) -> dict[str, str]:
 def modules_imported(file: Path) -> set[str]:
     """Full names of all modules that a file imports from, also inside functions."""
     plain = {
-        alias.name
-        for node in import_statements(file)
-        if isinstance(node, ast.Import)
-        for alias in node.names
+        alias.name for node in import_statements(file) if isinstance(node, ast.Import) for alias in node.names
     }
     taken = names_taken(file)
     return plain | {f"{module}.{name}" if module == "xmarl_bench" else module for module, name in taken}

@@ -157,7 +157,16 @@ OF_TEAM_SIZE: dict[str, dict[int, dict[str, Any]]] = {
 # seed); with all frames it was not tried.
 OF_FAMILY_PAPER: dict[str, dict[str, Any]] = {
     "blind_passage_v0": {
-        "shaping": Shaping(scale=0.05, agent_penalty=3.0, wall_penalty=0.5, through_gap=True),
+        "frames": 7_200_000,
+        "shaping": Shaping(
+            scale=0.05,
+            agent_penalty=3.0,
+            wall_penalty=0.5,
+            through_gap=True,
+            arrival_bonus=20.0,
+            time_penalty=0.2,
+        ),
+        "caution_growth": 1.0,
     },
     "blind_discovery_v0": {
         "frames": 10_240_000,

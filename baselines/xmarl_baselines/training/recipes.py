@@ -138,34 +138,23 @@ RECIPES: dict[str, Recipe] = {
 }
 
 
+# For teams that wait for one another for ever, or park a little too far from their goals.
+PASSAGE_ON_TIME = replace(RECIPES["blind_passage_v0"].shaping, arrival_bonus=20.0, time_penalty=0.2)
+
 # What teams of at least this size change, in ascending order. Navigation takes longer to learn. In passage
-# teams of five wait for one another for ever, unless time costs something and the penalty for touching stays
-# as it is.
+# teams of five need time to cost something, and a penalty for touching that stays as it is.
 OF_TEAM_SIZE: dict[str, dict[int, dict[str, Any]]] = {
     "blind_navigation_v0": {4: {"frames": 7_200_000}, 5: {"frames": 9_600_000}},
-    "blind_passage_v0": {
-        5: {
-            "frames": 7_200_000,
-            "shaping": replace(RECIPES["blind_passage_v0"].shaping, arrival_bonus=20.0, time_penalty=0.2),
-            "caution_growth": 1.0,
-        }
-    },
+    "blind_passage_v0": {5: {"frames": 7_200_000, "shaping": PASSAGE_ON_TIME, "caution_growth": 1.0}},
 }
 # What family `paper` changes, in place of OF_TEAM_SIZE. Without the residual, passage's penalties keep the
-# team from the gap (0.02 success after 9.6 M frames), and two epochs leave discovery at 0.36, four with the
-# residual's noise bonus at 0.54. A reward for searching and half of the frames leave it at 0.63 (N = 3, one
-# seed); with all frames it was not tried.
+# team from the gap (0.02 success after 9.6 M frames without a bonus), and two epochs leave discovery at 0.36,
+# four with the residual's noise bonus at 0.54. A reward for searching and half of the frames leave it at 0.63
+# (N = 3, one seed); with all frames it was not tried.
 OF_FAMILY_PAPER: dict[str, dict[str, Any]] = {
     "blind_passage_v0": {
         "frames": 7_200_000,
-        "shaping": Shaping(
-            scale=0.05,
-            agent_penalty=3.0,
-            wall_penalty=0.5,
-            through_gap=True,
-            arrival_bonus=20.0,
-            time_penalty=0.2,
-        ),
+        "shaping": replace(PASSAGE_ON_TIME, agent_penalty=3.0, wall_penalty=0.5),
         "caution_growth": 1.0,
     },
     "blind_discovery_v0": {

@@ -48,13 +48,14 @@ def test_every_task_has_a_recipe_of_the_first_family() -> None:
 
 
 def test_family_paper_has_penalties_and_epochs_of_its_own() -> None:
-    passage, discovery = (recipe_for(f"blind_{task}_v0", family="paper") for task in ("passage", "discovery"))
+    navigation, passage, discovery = (recipe_for(task, family="paper") for task in RECIPES)
+    assert (navigation.shaping.time_penalty, navigation.n_epochs) == (0.02, 4)
     assert (passage.shaping.agent_penalty, recipe_for("blind_passage_v0").shaping.agent_penalty) == (3.0, 6.0)
     assert discovery.n_epochs == 2 * recipe_for("blind_discovery_v0").n_epochs
     assert recipe_for("blind_passage_v0", family="paper", shaping=Shaping()).shaping == Shaping()
 
 
-def test_larger_teams_change_the_recipe_and_their_family_overrides_it() -> None:
+def test_larger_teams_change_the_recipe_of_their_family() -> None:
     navigation = [recipe_for("blind_navigation_v0", n).frames for n in (3, 4, 5, 8)]
     assert navigation == [4_800_000, 7_200_000, 9_600_000, 9_600_000]
     four, five = recipe_for("blind_passage_v0", 4), recipe_for("blind_passage_v0", 5)
@@ -62,6 +63,8 @@ def test_larger_teams_change_the_recipe_and_their_family_overrides_it() -> None:
     assert (four.shaping.time_penalty, four.shaping.arrival_bonus, four.caution_growth) == (0.0, 0.0, 2.0)
     assert (five.shaping.time_penalty, five.shaping.arrival_bonus, five.caution_growth) == (0.2, 20.0, 1.0)
     assert recipe_for("blind_passage_v0", 5, family="paper") == recipe_for("blind_passage_v0", family="paper")
+    paper = [recipe_for("blind_discovery_v0", n, family="paper").shaping.search_reward for n in (2, 3, 4, 5)]
+    assert paper == [0.0, 0.0, 3.0, 3.0]
     assert recipe_for("blind_passage_v0", 5, frames=64, batch_size=8).frames == 64
 
 

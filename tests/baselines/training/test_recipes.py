@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import pytest
@@ -49,7 +49,7 @@ def test_every_task_has_a_recipe_of_the_first_family() -> None:
 
 def test_family_paper_has_penalties_and_epochs_of_its_own() -> None:
     navigation, passage, discovery = (recipe_for(task, family="paper") for task in RECIPES)
-    assert (navigation.shaping.time_penalty, navigation.n_epochs) == (0.02, 4)
+    assert navigation == replace(recipe_for("blind_navigation_v0"), family="paper")
     assert (passage.shaping.agent_penalty, recipe_for("blind_passage_v0").shaping.agent_penalty) == (3.0, 6.0)
     assert discovery.n_epochs == 2 * recipe_for("blind_discovery_v0").n_epochs
     assert recipe_for("blind_passage_v0", family="paper", shaping=Shaping()).shaping == Shaping()
@@ -65,6 +65,8 @@ def test_larger_teams_change_the_recipe_of_their_family() -> None:
     assert recipe_for("blind_passage_v0", 5, family="paper") == recipe_for("blind_passage_v0", family="paper")
     paper = [recipe_for("blind_discovery_v0", n, family="paper").shaping.search_reward for n in (2, 3, 4, 5)]
     assert paper == [0.0, 0.0, 3.0, 3.0]
+    waiting = [recipe_for("blind_navigation_v0", n, family="paper").shaping.time_penalty for n in (3, 4, 5)]
+    assert waiting == [0.0, 0.02, 0.1]
     assert recipe_for("blind_passage_v0", 5, frames=64, batch_size=8).frames == 64
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from xmarl_baselines.paper_schedule import schedule_runs
 from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.training.families import FAMILIES
-from xmarl_baselines.training.recipes import RECIPES, Recipe, recipe_for
+from xmarl_baselines.training.recipes import RECIPES, recipe_for
 from xmarl_baselines.training.trainer import Run
 from xmarl_bench.errors import InputError, unknown
-from xmarl_bench.policy.card import PolicyCard, load_card
+from xmarl_bench.policy.card import load_card
 from xmarl_bench.policy.untrusted import CARD
 
 SIZES = (3, 4, 5)
@@ -71,20 +71,13 @@ def run_named(name: str) -> Run:
     """
     runs, shipped = planned_runs(), shipped_policies()
     if name in shipped:
-        run = run_of(load_card(shipped[name]))
+        run = Run.from_settings(load_card(shipped[name]).training)
         if run.name == name and run.start_from is None:
             return run
         raise InputError(f"{name} cannot be made by one run: `training` in its card says how to make it.")
     if name not in runs:
         raise unknown("reference policy", name, runs)
     return runs[name]
-
-
-def run_of(card: PolicyCard) -> Run:
-    """The run that a card records. Raises InputError if another version of xmarl-train wrote it."""
-    fields = ("n_agents", "attention_entropy", "seed", "caution", "start_from")
-    recipe = Recipe.from_dict(card.training["recipe"])
-    return Run(recipe, **{field: card.training[field] for field in fields})
 
 
 def finished_bundle(run: Run, runs: Path) -> Path | None:
@@ -95,6 +88,6 @@ def finished_bundle(run: Run, runs: Path) -> Path | None:
     bundle = runs / run.name / "policy"
     if not (bundle / CARD).exists():
         return None
-    if run_of(load_card(bundle)) != run:
+    if Run.from_settings(load_card(bundle).training) != run:
         raise InputError(f"{bundle} was trained with other settings: give another folder, or remove it.")
     return bundle

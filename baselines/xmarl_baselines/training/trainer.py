@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +72,16 @@ class Run:
         record: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         record["recipe"] = record.pop("recipe")  # last in the card
         return record
+
+    @classmethod
+    def from_settings(cls, record: Mapping[str, Any]) -> Run:
+        """The run that `settings` wrote. What an older trainer did not write of the recipe has its default.
+
+        Other fields of `record` are ignored. Raises InputError if the recipe is of another version, KeyError
+        if a field is missing.
+        """
+        recipe = Recipe.from_dict(record["recipe"])
+        return cls(recipe, **{each.name: record[each.name] for each in fields(cls) if each.name != "recipe"})
 
 
 @dataclass(frozen=True)
@@ -189,18 +199,13 @@ def _progress(run: Run, folder: Path, resume: bool) -> tuple[int, float] | None:
     if not settings.exists():
         write_json(settings, run.settings())
         return None
-    if read_run_file(settings, _settings) != _settings(run.settings()):
+    if read_run_file(settings, Run.from_settings) != run:
         raise InputError(f"{folder} holds a run with other settings: choose another --out, or remove it.")
     if not resume:
         raise InputError(f"{folder} holds this run already: add --resume to go on with it, or remove it.")
     if not progress.exists():
         return None
     return read_run_file(progress, lambda done: (int(done["frames"]), float(done["seconds"])))
-
-
-def _settings(record: dict[str, Any]) -> dict[str, Any]:
-    """What an older trainer did not write has its default."""
-    return {**record, "recipe": Recipe.from_dict(record["recipe"])} if "recipe" in record else record
 
 
 def _restore(model: MAPPO, checkpoint: Path) -> None:

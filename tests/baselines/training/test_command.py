@@ -32,6 +32,7 @@ from xmarl_bench.errors import InputError
 from xmarl_bench.parallel.workers import Workers
 from xmarl_bench.policy import GraphPolicy, load_policy
 from xmarl_bench.policy.card import load_card
+from xmarl_bench.records.files import write_json
 
 pytestmark = pytest.mark.usefixtures("as_a_program", "short_episodes")
 RUN = "discovery-n3-residual-lambda0-seed0"
@@ -256,7 +257,7 @@ def test_reproduce_all_trains_missing_runs_and_reports_failures(
     begun = "passage-n3-residual-lambda0-seed0"
     shutil.copytree(shipped_policies()[RUN], tmp_path / RUN / "policy")
     (tmp_path / begun).mkdir()
-    (tmp_path / begun / "settings.json").write_text("{}")  # of another run
+    write_json(tmp_path / begun / "settings.json", Run(recipe_for("blind_passage_v0"), 4).settings())
     assert train_missing([RUN, begun], tmp_path, Workers(2)) == 1
     said = capfd.readouterr().err
     assert "1 of 1" in said and RUN not in said

@@ -75,7 +75,9 @@ def test_names_of_runs_state_their_settings() -> None:
     assert Run(recipe).name == "navigation-n3-residual-lambda0-seed0"
     paper = recipe_for("blind_passage_v0", family="paper")
     assert Run(paper, 5, 0.05, seed=2).name == "passage-n5-paper-lambda0.05-seed2"
-    assert Run(recipe, caution=2.0).name == "navigation-n3-residual-lambda0-caution2-seed0"
+    cautious = Run(recipe, caution=2.0)
+    assert cautious.name == "navigation-n3-residual-lambda0-caution2-seed0"
+    assert Run.from_settings(cautious.settings()) == cautious
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -28,6 +28,9 @@ from xmarl_bench.metrics import other_senders, rank_correlation
 # messages 0, 4, 12, 19, 26, 33, 39 and 45 % of the rows are exchanged.
 NOISE: Final = (0.0, 0.4, 0.6, 0.8, 1.1, 1.6, 2.5, 6.0)
 MOST_KEPT: Final = 0.9  # smallest value of the worst mask in the form KEEPS_MORE
+DECIMALS: Final = (
+    6  # of a metric's values: a smaller difference is the rounding of float32, not what a metric says
+)
 Floats = NDArray[np.float64]
 
 
@@ -68,9 +71,10 @@ def with_messages(mask: Tensor, messages: Floats) -> Tensor:
 def follows(values: Sequence[float], noise: Sequence[float], *, higher_is_better: bool) -> float:
     """Spearman's correlation of a metric with the quality of the ranking: 1 if it gets worse at every step.
 
-    0 if the metric is constant, NaN if a value is. `noise` may hold a value several times, as over policies.
+    Values that are equal to DECIMALS decimals are ties. 0 if the metric is constant, NaN if a value is.
+    `noise` may hold a value several times, as over policies.
     """
-    better = np.asarray(values, dtype=np.float64) * (1.0 if higher_is_better else -1.0)
+    better = np.round(values, DECIMALS) * (1.0 if higher_is_better else -1.0)
     if np.isnan(better).any():
         return math.nan
     found = rank_correlation(better, -np.asarray(noise))

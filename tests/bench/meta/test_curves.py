@@ -46,6 +46,14 @@ def test_a_form_moves_fid_delta_and_not_the_ranking(planted: list[Curve]) -> Non
     assert ends[1][-1] > ends[1][3] > ends[0][-1]
 
 
+@pytest.mark.slow
+def test_what_keeps_the_action_does_not_see_redundancy() -> None:
+    """Masks keep two of three messages, so always one of the pair: nothing but rounding changes."""
+    curves = list(planted_curves(sizes=[4], n_steps=20))
+    for metric in ("fid_minus", "gef", "median_kl"):
+        assert one(curves, metric, "redundant-pair, 4").follows == 0.0, metric
+
+
 def test_what_follows_within_and_over_policies() -> None:
     """Each falls at every step, at its own level: within they are perfect, together they are not."""
     steps = np.arange(len(NOISE))

@@ -77,6 +77,7 @@ def test_what_follows_by_hand() -> None:
     assert follows([3.0, 2.0, 1.0], [0.0, 1.0, 2.0], higher_is_better=False) == pytest.approx(-1.0)
     assert follows([3.0, 1.0, 2.0], [0.0, 1.0, 2.0], higher_is_better=True) == pytest.approx(0.5)
     assert follows([1.0, 1.0], [0.0, 1.0], higher_is_better=True) == 0.0
+    assert follows([7.1e-15, 7.5e-15, 8.7e-15], [0.0, 1.0, 2.0], higher_is_better=False) == 0.0  # rounding
     assert np.isnan(follows([3.0, 2.0, np.nan], [0.0, 1.0, 2.0], higher_is_better=True))
 
 

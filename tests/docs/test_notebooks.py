@@ -18,7 +18,7 @@ SHORTER = {
     "own_explainer": {"episodes=5, timesteps=20": "episodes=2, timesteps=4, max_cycles=20"},
     "own_policy": {
         "step in range(301)": "step in range(2)",
-        "timesteps=10, episodes=3": "timesteps=2, episodes=1",
+        "timesteps=10, episodes=6": "timesteps=2, episodes=6",
         "episodes=3, timesteps=15, max_cycles=60": "episodes=2, timesteps=2, max_cycles=10",
         "max_cycles=120": "max_cycles=10",
     },

@@ -33,6 +33,7 @@ from xmarl_bench.tasks.interface import random_actions
 SEED: Final = 1
 ROUNDING: Final = 1e-4  # action units: rounding depends on the order of a sum and the size of a batch
 LISTENS: Final = 0.02  # mean change without messages, in action units, under which there is little to explain
+LEAST_EPISODES: Final = 6  # fewer that all succeed have no interval
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,15 @@ class PolicySubject:
 
 
 def check_policy(policy: Policy, cell: Cell, *, timesteps: int = 20, episodes: int = 20) -> Iterator[Finding]:
-    """Run every check, on `timesteps` states of the policy's own episodes and on `episodes` new ones."""
+    """Run every check, on `timesteps` states of the policy's own episodes and on `episodes` new ones.
+
+    Raises InputError for fewer than LEAST_EPISODES.
+    """
+    if episodes < LEAST_EPISODES:
+        raise InputError(
+            f"{counted(episodes, 'episode')} cannot tell a policy from random actions: give at least "
+            f"{LEAST_EPISODES}."
+        )
     with one_thread(), torch.no_grad():
         states = fit_states(policy, cell)
         states = states[torch.from_numpy(spaced_timesteps(len(states), timesteps))]

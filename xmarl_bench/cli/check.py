@@ -53,7 +53,7 @@ def check_policy(
     ] = None,
     agents: Annotated[int | None, typer.Option(help="Team size; the policy's own by default.")] = None,
     timesteps: Annotated[int, typer.Option(min=2, help="States to try; no score uses them.")] = 20,
-    episodes: Annotated[int, typer.Option(min=6, help="Episodes to compare with random actions.")] = 20,
+    episodes: Annotated[int, typer.Option(help="Episodes to compare with random actions.")] = 20,
     trust_code: TrustCode = False,
     as_json: AsJson = False,
 ) -> None:

@@ -15,7 +15,8 @@ from xmarl_envs import BlindNavigation
 from tests.bench.policy.test_layers import CARD, GAT2, random_policy, record
 from tests.conftest import RunCli
 from xmarl_bench.checks import run_checks
-from xmarl_bench.checks.policy_checks import CHECKS, PolicySubject, check_policy
+from xmarl_bench.checks.policy_checks import CHECKS, LEAST_EPISODES, PolicySubject, check_policy
+from xmarl_bench.errors import InputError
 from xmarl_bench.policy import ModulePolicy, Policy, save_policy
 from xmarl_bench.rollout.cell import Cell
 
@@ -28,7 +29,7 @@ def failed(policy: Policy, *only: str) -> dict[str, str]:
     states = torch.randn(4, 3, 6, generator=torch.Generator().manual_seed(0))
     chosen = {name: CHECKS[name] for name in only or CHECKS if only or name != PLAYED}
     with torch.no_grad():
-        found = list(run_checks(chosen, PolicySubject(policy, CELL, states, 2)))
+        found = list(run_checks(chosen, PolicySubject(policy, CELL, states, LEAST_EPISODES)))
     return {each.check: each.message for each in found if each.passed is False}
 
 
@@ -87,6 +88,12 @@ def test_every_fault_fails_its_checks(fault: str, fails: set[str]) -> None:
 @pytest.mark.slow
 def test_a_policy_that_moves_away_from_its_goal_fails_the_check_of_success() -> None:
     assert "not more than chance" in failed(ModulePolicy(Pilot("lost"), 6), PLAYED)[PLAYED]
+
+
+def test_too_few_episodes_are_refused() -> None:
+    """Any policy would fail the check of success."""
+    with pytest.raises(InputError, match="3 episodes cannot tell a policy from random actions"):
+        list(check_policy(ModulePolicy(Pilot(), 6), CELL, episodes=3))
 
 
 class Broken(ModulePolicy):

@@ -32,7 +32,8 @@ def test_it_explains_every_control() -> None:
 def test_its_tables_of_tested_metrics_are_whole() -> None:
     """Otherwise run docs/make_meta.py: a row for each metric of a mask, and each kind of explanation."""
     for name, rows in (("followed", METRICS), ("degenerate", [*kinds_of(small_policy(6))])):
-        table = PAGE.split(f"<!-- {name}:begin -->\n")[1].split(f"<!-- {name}:end -->")[0].splitlines()
+        written = PAGE.split(f"<!-- {name}:begin -->\n")[1].split(f"<!-- {name}:end -->")[0]
+        table = [line for line in written.splitlines() if line.startswith("|")]
         titles = [by_name()[each].title if each in by_name() else each for each in rows]
         assert [line.split(" | ")[0].removeprefix("| ") for line in table[2:]] == titles
     for picture in ("degradation.png", "agreement.png"):

@@ -190,10 +190,11 @@ CHANGES: dict[Family, dict[str, dict[int, dict[str, Any]]]] = {
 def recipe_for(task: str, n_agents: int = 3, *, family: Family = "residual", **changes: Any) -> Recipe:
     """The recipe of a task, team size and family, with fields changed.
 
-    Raises InputError for an unknown task.
+    Raises InputError for an unknown task or family.
     """
     if task not in RECIPES:
         raise InputError(f"no training recipe for task {task!r}: choose one of {', '.join(RECIPES)}.")
+    architecture(task, family)  # raises for an unknown family
     sizes = CHANGES[family][task]
     usual = {name: value for size in sizes if size <= n_agents for name, value in sizes[size].items()}
     return replace(RECIPES[task], **{**usual, "family": family, **changes})

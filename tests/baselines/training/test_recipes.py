@@ -112,6 +112,8 @@ def test_the_learning_rate_falls_to_a_tenth() -> None:
 def test_bad_recipes_are_refused() -> None:
     with pytest.raises(InputError, match="no training recipe"):
         recipe_for("blind_chess_v0")
+    with pytest.raises(InputError, match="no family is called 'wide'"):
+        recipe_for("blind_passage_v0", family="wide")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="batch_size must be from 1 to"):
         small(batch_size=10_000)
     with pytest.raises(InputError, match=r"start at 0\.8 or before"):

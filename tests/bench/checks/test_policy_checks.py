@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
@@ -17,6 +18,7 @@ from tests.conftest import RunCli
 from xmarl_bench.checks import run_checks
 from xmarl_bench.checks.policy_checks import CHECKS, LEAST_EPISODES, PolicySubject, check_policy
 from xmarl_bench.errors import InputError
+from xmarl_bench.metrics.student import interval_of
 from xmarl_bench.policy import ModulePolicy, Policy, save_policy
 from xmarl_bench.rollout.cell import Cell
 
@@ -91,7 +93,9 @@ def test_a_policy_that_moves_away_from_its_goal_fails_the_check_of_success() -> 
 
 
 def test_too_few_episodes_are_refused() -> None:
-    """Any policy would fail the check of success."""
+    """Any policy would fail the check of success: successes that are all equal have no interval."""
+    assert interval_of(np.ones(LEAST_EPISODES)) is not None
+    assert interval_of(np.ones(LEAST_EPISODES - 1)) is None
     with pytest.raises(InputError, match="3 episodes cannot tell a policy from random actions"):
         list(check_policy(ModulePolicy(Pilot(), 6), CELL, episodes=3))
 

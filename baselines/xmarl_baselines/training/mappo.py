@@ -67,8 +67,9 @@ class MAPPO(PPO):
         attention_entropy: lambda, the weight of the mean attention entropy (nats) in the loss.
         attention_ramp: fraction of training over which lambda grows linearly from 0.
         attention_start: fraction of training before which lambda is 0.
-        saturation_penalty: weight in the loss of the mean square by which means of raw actions pass
-            SATURATED. Without it they can grow without end, until ratios of probabilities are noise.
+        saturation_penalty: weight in the loss of the mean square by which raw actions pass SATURATED: their
+            means plus `saturation_deviations` standard deviations. Without it means or deviations can grow
+            without end, until ratios of probabilities are noise.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"TeamPolicy": TeamPolicy}
@@ -82,12 +83,14 @@ class MAPPO(PPO):
         attention_ramp: float = 0.0,
         attention_start: float = 0.0,
         saturation_penalty: float = 0.0,
+        saturation_deviations: float = 0.0,
         **kwargs: Any,
     ) -> None:
         self.attention_entropy = attention_entropy
         self.attention_ramp = attention_ramp
         self.attention_start = attention_start
         self.saturation_penalty = saturation_penalty
+        self.saturation_deviations = saturation_deviations
         kwargs.setdefault("rollout_buffer_class", TeamRolloutBuffer)
         super().__init__(*args, **kwargs)
 
@@ -146,7 +149,9 @@ class MAPPO(PPO):
     def _loss(self, samples: TeamSamples) -> tuple[Tensor, dict[str, float]]:
         policy = self.policy
         clip = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
-        evaluation = policy.evaluate(samples.observations, samples.actions)
+        evaluation = policy.evaluate(
+            samples.observations, samples.actions, deviations=self.saturation_deviations
+        )
         log_ratio = evaluation.log_prob - samples.log_probs
         ratio = log_ratio.clamp(max=MAX_LOG_RATIO).exp()
         surrogate = torch.min(

@@ -29,7 +29,8 @@ class Recipe:
     clip_range: float = 0.2
     normalize_advantage: bool = True
     ent_coef: float = 1e-4
-    saturation_penalty: float = 0.0  # on means of raw actions beyond SATURATED
+    saturation_penalty: float = 0.0  # on raw actions beyond SATURATED: means ...
+    saturation_deviations: float = 0.0  # ... plus this many standard deviations
     max_grad_norm: float = 1.0
     max_cycles: int | None = None  # of training episodes; None: the task's own
     attention_start: float = 0.3  # fraction of training without the attention-entropy term ...

@@ -27,7 +27,7 @@ class Evaluation(NamedTuple):
     log_prob: Tensor  # (B, N)
     entropy: Tensor  # (), nats, of the TanhNormal, one sample per action
     attention_entropy: Tensor  # (), nats, mean over agents and batch
-    saturation: Tensor  # (), mean square by which |loc| passes SATURATED
+    saturation: Tensor  # (), mean square by which |loc| + deviations * scale passes SATURATED
 
 
 class TeamPolicy(ActorCriticPolicy):
@@ -77,8 +77,11 @@ class TeamPolicy(ActorCriticPolicy):
         values: Tensor = self.critic(obs.flatten(start_dim=-2))
         return values
 
-    def evaluate(self, obs: Tensor, action: Tensor) -> Evaluation:
-        """Evaluate actions taken earlier for an update; values come from `predict_values`."""
+    def evaluate(self, obs: Tensor, action: Tensor, *, deviations: float = 0.0) -> Evaluation:
+        """Evaluate actions taken earlier for an update; values come from `predict_values`.
+
+        deviations: of the raw action's standard deviations, how many count as saturation beside its mean.
+        """
         prepared = self.actor.prepare(obs)
         distribution = self.actor.decode(prepared)
         normal = Normal(distribution.loc, distribution.scale, validate_args=False)
@@ -86,7 +89,8 @@ class TeamPolicy(ActorCriticPolicy):
         # lower bound, so a negative weight on it drives actions into saturation.
         entropy = (normal.entropy() + _log_slope(normal.rsample())).sum(dim=-1).mean()
         attention = mean_attention_entropy(prepared.attention)
-        saturation = F.relu(distribution.loc.abs() - SATURATED).square().mean()
+        reach = distribution.loc.abs() + deviations * distribution.scale
+        saturation = F.relu(reach - SATURATED).square().mean()
         return Evaluation(log_prob(distribution, action), entropy, attention, saturation)
 
     def _predict(self, observation: Tensor, deterministic: bool = False) -> Tensor:  # type: ignore[override]

@@ -182,6 +182,7 @@ def build(run: Run, *, seed: int, tensorboard: Path | None = None, device: str =
         attention_ramp=recipe.attention_ramp,
         attention_start=recipe.attention_start,
         saturation_penalty=recipe.saturation_penalty,
+        saturation_deviations=recipe.saturation_deviations,
         policy_kwargs={"architecture": recipe.architecture, "critic": recipe.critic},
         tensorboard_log=None if tensorboard is None else str(tensorboard),
         device=device,

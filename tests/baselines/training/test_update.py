@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -85,18 +86,25 @@ def test_an_action_that_became_far_likelier_leaves_weights_finite() -> None:
     assert all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters())
 
 
-def test_means_of_raw_actions_beyond_3_cost_the_square_of_the_excess() -> None:
-    model = build(Run(small(saturation_penalty=0.1)), seed=0)
+@pytest.mark.parametrize(
+    ("deviations", "excess"),
+    [(0.0, (2.0, 0.5)), (1.5, (3.5, 5.0))],  # means 5 and -3.5, standard deviations 1 and 3
+)
+def test_raw_actions_beyond_3_cost_the_square_of_the_excess(
+    deviations: float, excess: tuple[float, float]
+) -> None:
+    recipe = small(saturation_penalty=0.1, saturation_deviations=deviations)
+    model = build(Run(recipe), seed=0)
     model.learn(160)
     last = model.policy.actor.decoder[-1]
     assert isinstance(last, torch.nn.Linear)
     with torch.no_grad():
         last.weight.zero_()
-        last.bias.copy_(torch.tensor([5.0, -3.5, 0.0, 0.0]))
+        last.bias.copy_(torch.tensor([5.0, -3.5, 0.0, math.log((math.e**3 - 1) / (math.e - 1))]))
     samples = next(iter(model.rollout_buffer.minibatches(40, True)))
     torch.manual_seed(0)
     loss, measures = model._loss(samples)
-    assert measures["saturation"] == pytest.approx((2.0**2 + 0.5**2) / 2)
+    assert measures["saturation"] == pytest.approx(sum(each**2 for each in excess) / 2)
     model.saturation_penalty = 0.0
     torch.manual_seed(0)
     without, _ = model._loss(samples)

@@ -154,9 +154,9 @@ def _navigation_on_time(penalty: float) -> Shaping:
 #
 # `paper`: in navigation agents wait for one another if time costs nothing. With a penalty of 0.02 three
 # agents arrive more often and touch more, and five learn nothing: they need 0.1. Passage's penalties keep the
-# team from the gap (0.02 success after 9.6 M frames without a bonus). Two epochs leave discovery at 0.36,
-# four with the residual's noise bonus at 0.54; a reward for searching leaves three agents at 0.72 in place of
-# 0.81.
+# team from the gap (0.02 success after 9.6 M frames without a bonus), and its noise can grow without end. Two
+# epochs leave discovery at 0.36, four with the residual's noise bonus at 0.54; a reward for searching leaves
+# three agents at 0.72 in place of 0.81.
 CHANGES: dict[Family, dict[str, dict[int, dict[str, Any]]]] = {
     "residual": {
         "blind_navigation_v0": {4: {"frames": 7_200_000}, 5: {"frames": 9_600_000}},
@@ -173,6 +173,7 @@ CHANGES: dict[Family, dict[str, dict[int, dict[str, Any]]]] = {
                 "frames": 7_200_000,
                 "shaping": replace(PASSAGE_ON_TIME, agent_penalty=3.0, wall_penalty=0.5),
                 "caution_growth": 1.0,
+                "saturation_deviations": 1.0,
             }
         },
         "blind_discovery_v0": {

@@ -213,16 +213,18 @@ def train_and_save(
 
 
 def command_of(run: Run) -> str:
-    """The command that trains this policy again."""
+    """The command that trains this policy again, or that there is none: options reach a part of a recipe."""
     if planned_runs().get(run.name) == run:
         return f"xmarl-train --reproduce {run.name}"
     usual = recipe_for(run.recipe.task, run.n_agents, family=run.recipe.family)
-    start = run.recipe.attention_start
     if run.start_from is not None:
         usual = usual.fine_tuning()
+    frames, start = run.recipe.frames, run.recipe.attention_start
+    if replace(usual, frames=frames, attention_start=start) != run.recipe:
+        return "none: from Python, train_and_save(Run.from_settings(card.training), ...)"
     return (
         f"xmarl-train --task {run.recipe.task} --family {run.recipe.family} --agents {run.n_agents} "
-        f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {run.recipe.frames}"
+        f"--attention-entropy {run.attention_entropy:g} --seed {run.seed} --frames {frames}"
         + ("" if start == usual.attention_start else f" --attention-start {start:g}")
         + ("" if run.caution == 1.0 else f" --caution {run.caution:g}")
         + ("" if run.start_from is None else f" --start-from runs/{run.start_from}")

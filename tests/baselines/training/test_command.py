@@ -170,20 +170,26 @@ def test_a_dose_is_every_weight_with_every_seed_and_nothing_else_differs() -> No
 
 
 def test_the_command_names_what_differs_from_the_recipe() -> None:
-    passage = recipe_for("blind_passage_v0")
-    assert command_of(Run(passage, 3)) == "xmarl-train --reproduce passage-n3-residual-lambda0-seed0"
+    passage = recipe_for("blind_passage_v0", 5)
+    assert command_of(Run(passage, 5)) == "xmarl-train --reproduce passage-n5-residual-lambda0-seed0"
     assert command_of(Run(passage, 5, 0.02, seed=2, caution=2.0)) == (
         "xmarl-train --task blind_passage_v0 --family residual --agents 5 --attention-entropy 0.02 --seed 2 "
         f"--frames {passage.frames} --caution 2"
     )
-    later = replace(passage, attention_start=0.5, family="paper")
+    later = replace(recipe_for("blind_passage_v0", 5, family="paper"), attention_start=0.5)
     assert "--family paper" in command_of(Run(later, 5, 0.02, seed=2))
     assert "--attention-start 0.5" in command_of(Run(later, 5, 0.02, seed=2))
     finer = passage.fine_tuning()
-    assert "--attention-start" not in command_of(Run(finer, 3, 0.1, start_from="first"))
+    assert "--attention-start" not in command_of(Run(finer, 5, 0.1, start_from="first"))
     later = replace(finer, attention_start=0.25)
-    command = command_of(Run(later, 3, 0.1, start_from="first"))
+    command = command_of(Run(later, 5, 0.1, start_from="first"))
     assert command.endswith("--attention-start 0.25 --start-from runs/first")
+
+
+def test_there_is_no_command_for_a_recipe_that_options_do_not_reach() -> None:
+    recipe = recipe_for("blind_passage_v0")
+    assert command_of(Run(replace(recipe, n_epochs=8), 3)).startswith("none: ")
+    assert command_of(Run(replace(recipe, frames=600_000), 3)).endswith("--frames 600000")
 
 
 def test_a_fine_tuned_policy_does_not_claim_to_start_from_a_seed(

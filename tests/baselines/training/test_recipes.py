@@ -62,9 +62,8 @@ def test_larger_teams_change_the_recipe_of_their_family() -> None:
     assert four == recipe_for("blind_passage_v0")
     assert (four.shaping.time_penalty, four.shaping.arrival_bonus, four.caution_growth) == (0.0, 0.0, 2.0)
     assert (five.shaping.time_penalty, five.shaping.arrival_bonus, five.caution_growth) == (0.2, 20.0, 1.0)
-    assert recipe_for("blind_passage_v0", 5, family="paper") == recipe_for("blind_passage_v0", family="paper")
-    paper = [recipe_for("blind_discovery_v0", n, family="paper").shaping.search_reward for n in (2, 3, 4, 5)]
-    assert paper == [0.0, 0.0, 3.0, 3.0]
+    for task in ("blind_passage_v0", "blind_discovery_v0"):
+        assert len({str(recipe_for(task, n, family="paper")) for n in (2, 3, 4, 5)}) == 1
     waiting = [recipe_for("blind_navigation_v0", n, family="paper").shaping.time_penalty for n in (3, 4, 5)]
     assert waiting == [0.0, 0.02, 0.1]
     assert recipe_for("blind_passage_v0", 5, frames=64, batch_size=8).frames == 64

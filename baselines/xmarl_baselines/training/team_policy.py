@@ -77,7 +77,7 @@ class TeamPolicy(ActorCriticPolicy):
         values: Tensor = self.critic(obs.flatten(start_dim=-2))
         return values
 
-    def evaluate(self, obs: Tensor, action: Tensor, *, deviations: float = 0.0) -> Evaluation:
+    def evaluate(self, obs: Tensor, action: Tensor, *, deviations: float) -> Evaluation:
         """Evaluate actions taken earlier for an update; values come from `predict_values`.
 
         deviations: of the raw action's standard deviations, how many count as saturation beside its mean.

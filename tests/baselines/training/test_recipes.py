@@ -64,8 +64,10 @@ def test_larger_teams_change_the_recipe_of_their_family() -> None:
     assert (five.shaping.time_penalty, five.shaping.arrival_bonus, five.caution_growth) == (0.2, 20.0, 1.0)
     for task in ("blind_passage_v0", "blind_discovery_v0"):
         assert len({str(recipe_for(task, n, family="paper")) for n in (2, 3, 4, 5)}) == 1
-    waiting = [recipe_for("blind_navigation_v0", n, family="paper").shaping.time_penalty for n in (3, 4, 5)]
-    assert waiting == [0.0, 0.02, 0.1]
+    paper = [recipe_for("blind_navigation_v0", n, family="paper") for n in (3, 4, 5, 8)]
+    assert [recipe.shaping.time_penalty for recipe in paper] == [0.0, 0.02, 0.02, 0.02]
+    assert [recipe.batch_size for recipe in paper] == [900, 300, 300, 300]
+    assert [recipe.frames for recipe in paper] == [4_800_000, 4_800_000, 7_200_000, 7_200_000]
     assert recipe_for("blind_passage_v0", 5, frames=64, batch_size=8).frames == 64
 
 

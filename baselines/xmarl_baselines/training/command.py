@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from xmarl_baselines.reference import EPISODES, GROUPS, finished_bundle, planned_runs, run_named
+from xmarl_baselines.training.allocator import keep_freed_memory
 from xmarl_baselines.training.families import FAMILIES, Family
 from xmarl_baselines.training.own_process import train_in_own_process
 from xmarl_baselines.training.recipes import Recipe, recipe_for
@@ -258,6 +259,7 @@ def _progress(run: Run) -> Iterator[Report]:
 
 def main() -> None:
     """Console entry point."""
+    keep_freed_memory()
     run_program("xmarl-train", app, "stopped. The same command continues; a single run needs --resume.")
 
 

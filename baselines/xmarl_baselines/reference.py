@@ -20,11 +20,19 @@ from xmarl_bench.policy.untrusted import CARD
 SIZES = (3, 4, 5)
 SEEDS = (0, 1, 2)
 EPISODES = 200  # to measure policies; scoring plays the first 50 of them
-# lambda of the attention-entropy term: chosen to halve the entropy while messages still help.
-_USUAL = {"blind_navigation_v0": 0.1, "blind_passage_v0": 0.04, "blind_discovery_v0": 0.03}
-LAMBDAS: dict[Family, dict[str, float]] = {
-    "residual": _USUAL,
-    "paper": {**_USUAL, "blind_discovery_v0": 0.06},
+# lambda of the attention-entropy term for teams of at least this size, in ascending order. Chosen to halve
+# the entropy while messages still help.
+LAMBDAS: dict[Family, dict[str, dict[int, float]]] = {
+    "residual": {
+        "blind_navigation_v0": {1: 0.1},
+        "blind_passage_v0": {1: 0.03, 5: 0.04},
+        "blind_discovery_v0": {1: 0.03},
+    },
+    "paper": {
+        "blind_navigation_v0": {1: 0.1, 4: 0.03},
+        "blind_passage_v0": {1: 0.04},
+        "blind_discovery_v0": {1: 0.06},
+    },
 }
 # Success that family `residual` aims at, of the best seed and of the median; with the term 0.03 less.
 AIMS = {
@@ -48,9 +56,13 @@ def reference_runs() -> dict[str, Run]:
         for seed in SEEDS
         for n_agents in SIZES
         for task in RECIPES
-        for weight in (0.0, LAMBDAS[family][task])
+        for weight in (0.0, _weight(LAMBDAS[family][task], n_agents))
     ]
     return {run.name: run for run in runs}
+
+
+def _weight(by_size: dict[int, float], n_agents: int) -> float:
+    return [weight for size, weight in by_size.items() if size <= n_agents][-1]
 
 
 def dose_runs() -> dict[str, Run]:

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 from xmarl_baselines import independent_ppo, ship
-from xmarl_baselines.policies import HERE
+from xmarl_baselines.policies import HERE, shipped_policies
+from xmarl_baselines.reference import reference_runs
 from xmarl_baselines.report import READMES, cell_rows, draw, filled, final, policy_rows, shipped_cards
 
 from xmarl_bench.papers.kailas2025.paper import MAIN
@@ -81,6 +82,13 @@ def test_independent_agents_ignore_messages() -> None:
         assert torch.equal(policy.distribution(x, mask).loc, loc)
     sb3, _ = model.predict(x.reshape(-1, 5).numpy(), deterministic=True)
     torch.testing.assert_close(policy.distribution(x).action.reshape(-1, 2), torch.from_numpy(sb3))
+
+
+def test_every_reference_run_is_shipped() -> None:
+    finished = {
+        name for name, folder in shipped_policies().items() if "percent" not in load_card(folder).training
+    }
+    assert finished == reference_runs().keys()
 
 
 def test_checkpoints_are_the_validations_nearest_to_their_percentage() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from xmarl_bench.board.agreement import Floats, Scores
+from xmarl_bench.meta.degradation import DECIMALS
 from xmarl_bench.meta.planted_suite import PlantedScore
 from xmarl_bench.meta.right_ranking import shapley_values
 from xmarl_bench.metrics import rank_correlation
@@ -26,11 +27,13 @@ def scores_of_planted(found: Sequence[PlantedScore]) -> list[Scores]:
 def absences_agree(states: Iterable[States]) -> Floats:
     """(4, 4): rank correlation of the Shapley values of a receiver's messages under two absence models.
 
-    Mean over episodes. Skips episodes without one of the models.
+    Mean over episodes. Values that are equal to DECIMALS decimals are ties. Skips episodes without one of
+    the models.
     """
     found = []
     for each in states:
         if set(each.tables) == set(Absence):
-            values = [shapley_values(each.tables[absence].delta) for absence in Absence]
+            deltas = [each.tables[absence].delta for absence in Absence]
+            values = [np.round(shapley_values(delta), DECIMALS) for delta in deltas]
             found.append([[rank_correlation(one, other) for other in values] for one in values])
     return np.mean(found, axis=0) if found else np.full((len(Absence), len(Absence)), np.nan)

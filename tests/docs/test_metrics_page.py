@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 from pathlib import Path
 
 from tests.helpers.policies import small_policy
+from xmarl_bench.board.agreement import scores_of_board
 from xmarl_bench.explain.control_names import INITIAL_ATTENTION, INVERTED, NEAREST
 from xmarl_bench.explain.controls import CONTROLS
 from xmarl_bench.meta.curves import METRICS
@@ -39,3 +41,15 @@ def test_its_tables_of_tested_metrics_are_whole() -> None:
     for picture in ("degradation.png", "agreement.png"):
         assert f"({picture})" in PAGE
         assert (DOCS / picture).is_file()
+
+
+def test_the_board_has_the_metrics_whose_orders_are_compared() -> None:
+    board = json.loads((DOCS.parent / "leaderboard" / "leaderboard.json").read_bytes())
+    measured = {
+        name
+        for explainers in scores_of_board(board["tables"])
+        for scores in explainers.values()
+        for name, value in scores.items()
+        if value is not None
+    }
+    assert measured >= set(runpy.run_path(str(DOCS / "make_meta.py"))["COMPARED"])

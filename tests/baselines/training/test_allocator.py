@@ -8,12 +8,11 @@ import sys
 
 import pytest
 
-# Eight blocks of 4 MiB, twice: 8192 pages each time. glibc by default gives most of them back in between.
+# Eight blocks of 4 MiB, twice: 8192 pages of 4 KiB, which glibc by default gives back in between.
 CODE = """
-import resource, sys
+import resource
 from xmarl_baselines.training.allocator import keep_freed_memory
-if sys.argv[1] == "keep":
-    assert keep_freed_memory()
+assert keep_freed_memory()
 def faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     [b"x" * (4 << 20) for _ in range(8)]
@@ -24,7 +23,6 @@ print(faults())
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the setting is glibc's")
-@pytest.mark.parametrize(("how", "few"), [("keep", True), ("give back", False)])
-def test_pages_are_asked_for_once(how: str, few: bool) -> None:
-    told = subprocess.run([sys.executable, "-c", CODE, how], capture_output=True, text=True, check=True)
-    assert (int(told.stdout) < 1000) == few
+def test_pages_are_asked_for_once() -> None:
+    told = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)
+    assert int(told.stdout) < 1000

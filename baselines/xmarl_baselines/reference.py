@@ -11,7 +11,7 @@ from pathlib import Path
 from xmarl_baselines.paper_schedule import schedule_runs
 from xmarl_baselines.policies import shipped_policies
 from xmarl_baselines.training.families import FAMILIES, Family
-from xmarl_baselines.training.recipes import RECIPES, recipe_for
+from xmarl_baselines.training.recipes import RECIPES, recipe_for, up_to
 from xmarl_baselines.training.trainer import Run
 from xmarl_bench.errors import InputError, unknown
 from xmarl_bench.policy.card import load_card
@@ -56,13 +56,9 @@ def reference_runs() -> dict[str, Run]:
         for seed in SEEDS
         for n_agents in SIZES
         for task in RECIPES
-        for weight in (0.0, _weight(LAMBDAS[family][task], n_agents))
+        for weight in (0.0, up_to(n_agents, LAMBDAS[family][task])[-1])
     ]
     return {run.name: run for run in runs}
-
-
-def _weight(by_size: dict[int, float], n_agents: int) -> float:
-    return [weight for size, weight in by_size.items() if size <= n_agents][-1]
 
 
 def dose_runs() -> dict[str, Run]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from xmarl_bench.board.entry_rows import is_whole
 from xmarl_bench.metrics import rank_correlation
+from xmarl_bench.metrics.rank_correlation import DECIMALS
 from xmarl_bench.metrics.table import Direction, by_name
 
 MIN_EXPLAINERS: Final = 5  # with values of both metrics: an order of fewer means little
@@ -46,13 +47,14 @@ def scores_of_board(tables: Iterable[Mapping[str, Any]]) -> list[Scores]:
 
 
 def _of_policy(scores: Scores, metrics: Sequence[str]) -> Floats:
-    values = np.array([[_oriented(row.get(name), name) for row in scores.values()] for name in metrics])
+    oriented = [[_oriented(row.get(name), name) for row in scores.values()] for name in metrics]
+    values = np.round(np.array(oriented), DECIMALS)
     agreement = np.full((len(metrics), len(metrics)), np.nan)
     for a, one in enumerate(values):
         for b, other in enumerate(values):
             both = ~np.isnan(one) & ~np.isnan(other)
             if both.sum() >= MIN_EXPLAINERS:
-                agreement[a, b] = rank_correlation(one[both].round(6), other[both].round(6))
+                agreement[a, b] = rank_correlation(one[both], other[both])
     return agreement
 
 

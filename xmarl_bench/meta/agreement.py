@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from xmarl_bench.board.agreement import Floats, Scores
-from xmarl_bench.meta.degradation import DECIMALS
 from xmarl_bench.meta.planted_suite import PlantedScore
 from xmarl_bench.meta.right_ranking import shapley_values
 from xmarl_bench.metrics import rank_correlation
 from xmarl_bench.metrics.absence import Absence
+from xmarl_bench.metrics.rank_correlation import DECIMALS
 from xmarl_bench.scoring.states import States
 
 

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from xmarl_bench.metrics import other_senders, rank_correlation
+from xmarl_bench.metrics.rank_correlation import DECIMALS
 
 # Standard deviation of the noise, in units of the distance from the first to the last of a row. With two
 # messages 0, 4, 12, 19, 26, 33, 39 and 45 % of the rows are exchanged.
 NOISE: Final = (0.0, 0.4, 0.6, 0.8, 1.1, 1.6, 2.5, 6.0)
 MOST_KEPT: Final = 0.9  # smallest value of the worst mask in the form KEEPS_MORE
-DECIMALS: Final = 6  # of a metric's values: a smaller difference is the rounding of float32
 Floats = NDArray[np.float64]
 
 

@@ -10,8 +10,12 @@ weights; Agarwal et al. (GraphXAI, 2023) for stability.
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
+
+DECIMALS: Final = 6  # of metrics and effects that are ranked: a smaller difference is the rounding of float32
 
 
 def rank_correlation(

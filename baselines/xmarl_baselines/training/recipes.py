@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from xmarl_baselines.training.families import Family, architecture
 from xmarl_baselines.training.shaping import Shaping
 from xmarl_bench.errors import InputError
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,11 @@ def recipe_for(task: str, n_agents: int = 3, *, family: Family = "residual", **c
     if task not in RECIPES:
         raise InputError(f"no training recipe for task {task!r}: choose one of {', '.join(RECIPES)}.")
     architecture(task, family)  # raises for an unknown family
-    sizes = CHANGES[family][task]
-    usual = {name: value for size in sizes if size <= n_agents for name, value in sizes[size].items()}
+    reached = up_to(n_agents, CHANGES[family][task])
+    usual = {name: value for change in reached for name, value in change.items()}
     return replace(RECIPES[task], **{**usual, "family": family, **changes})
+
+
+def up_to(n_agents: int, by_size: dict[int, T]) -> list[T]:
+    """The values of the sizes that the team reaches, in the table's order."""
+    return [value for size, value in by_size.items() if size <= n_agents]

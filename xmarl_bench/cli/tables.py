@@ -55,8 +55,11 @@ def says_if_stopped(kept: Callable[[], str], cache: Path | None) -> Iterator[Non
         raise
 
 
+NAMED = 3  # of what failed alike
+
+
 def exit_for_failures(failed: Sequence[Failed | InputError], total: int) -> None:
-    """If something failed, print it on stderr and exit with code 1.
+    """If something failed, print it on stderr and exit with code 1: one line for all that failed alike.
 
     Raises InputError with the first error if everything failed.
     """
@@ -65,8 +68,15 @@ def exit_for_failures(failed: Sequence[Failed | InputError], total: int) -> None
     if len(failed) == total:
         first = failed[0]
         raise first if isinstance(first, InputError) else InputError(first.error)
+    alike: dict[str, list[str]] = {}
     for each in failed:
-        print(f"failed: {each}", file=sys.stderr)
+        if isinstance(each, InputError):
+            print(f"failed: {each}", file=sys.stderr)
+        else:
+            alike.setdefault(each.error, []).append(each.name)
+    for error, names in alike.items():
+        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        print(f"failed: {', '.join(names[:NAMED])}{more}: {error}", file=sys.stderr)
     print(
         f"{len(failed)} of {total} failed; everything else is done. The same command tries them again.",
         file=sys.stderr,

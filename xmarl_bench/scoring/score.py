@@ -53,8 +53,13 @@ class Failed:
     request: Request
     error: str
 
+    @property
+    def name(self) -> str:
+        """Of its explainer and policy, as a message names them."""
+        return f"{self.request.explainer.name} on {self.request.card.name}"
+
     def __str__(self) -> str:
-        return f"{self.request.explainer.name} on {self.request.card.name}: {self.error}"
+        return f"{self.name}: {self.error}"
 
 
 _turn = RLock()

@@ -11,6 +11,7 @@ import pytest
 
 from tests.conftest import MakeBundle, RunCli
 from tests.helpers.policies import small_policy
+from xmarl_bench.cli import tables
 from xmarl_bench.papers.kailas2025 import plan
 from xmarl_bench.policy import save_policy
 
@@ -82,7 +83,7 @@ def test_a_study_of_which_everything_fails_names_the_first_failure(
 
 
 def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
-    run_cli: RunCli, tmp_path: Path
+    run_cli: RunCli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Of the same weights, as checkpoints before the term begins.
     folders = [bundle(tmp_path, f"p{x}", attention_entropy=x) for x in (0.0, 0.05)]
@@ -107,6 +108,14 @@ def test_existing_entries_are_judged_alike_and_what_they_lack_is_named(
     ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)
     assert ran.code == 1
     assert "attention on p0.05: has no entry with these states" in ran.err
+    for entry in (board / "entries").glob("p0.*.attention-rowmax.*.json"):
+        entry.unlink()
+    ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)
+    every = "failed: attention-rowmax on p0.0, attention on p0.05, attention-rowmax on p0.05: has no entry"
+    assert every in ran.err
+    monkeypatch.setattr(tables, "NAMED", 1)
+    ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)
+    assert "failed: attention-rowmax on p0.0 and 2 more: has no entry" in ran.err
     copied = next((board / "entries").glob("p0.0.attention.*.json"))
     (board / "entries" / "copy.json").write_bytes(copied.read_bytes())
     ran = run(run_cli, "main", folders, judged, "--no-figures", "--entries", board)

@@ -14,6 +14,12 @@ class InputError(ValueError):
     """Invalid input: what was wrong, what was received, what to do. The CLI prints it and exits 2."""
 
 
+def a_type(value: object) -> str:
+    """The name of its type with an article, as "an Explanation"."""
+    name = type(value).__name__
+    return f"{'an' if name.lower().startswith(('a', 'e', 'i', 'o')) else 'a'} {name}"
+
+
 @contextmanager
 def failures_named(what: str, remedy: str) -> Iterator[None]:
     """While others' code runs: raises what it raises as an InputError, "WHAT (the exception): REMEDY."."""

@@ -1,8 +1,14 @@
-"""Messages about unknown names help, however many names there are."""
+"""Messages name types with their article, and help with unknown names, however many there are."""
 
 from __future__ import annotations
 
-from xmarl_bench.errors import unknown
+from xmarl_bench.errors import a_type, unknown
+
+
+def test_a_type_has_its_article() -> None:
+    assert [a_type(value) for value in (7, OSError(), 1.5, None)] == [
+        "an int", "an OSError", "a float", "a NoneType",
+    ]  # fmt: skip
 
 
 def test_the_nearest_choice_comes_first_and_then_all() -> None:

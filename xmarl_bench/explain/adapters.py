@@ -26,7 +26,7 @@ import torch
 from torch import Tensor, nn
 from torch_geometric.explain import AttentionExplainer, CaptumExplainer, ExplainerAlgorithm, PGExplainer
 
-from xmarl_bench.errors import InputError, failures_named
+from xmarl_bench.errors import InputError, a_type, failures_named
 from xmarl_bench.explain.declarations import DECLARATIONS, Access, Scalar, check_declared, recordable
 from xmarl_bench.explain.explainer import Explainer, Fit
 from xmarl_bench.explain.pyg import Copies, PygExplain, fit_pg
@@ -95,7 +95,7 @@ def as_explainer(thing: object = _ABSENT, /, **declared: Unpack[Declared]) -> An
     explain = getattr(thing, "explain", thing)
     if not callable(explain):
         raise InputError(
-            f"a {type(thing).__name__} is not an explainer: give a function of observations and "
+            f"{a_type(thing)} is not an explainer: give a function of observations and "
             f"policy, a class with a method explain, or an algorithm of torch_geometric.explain."
         )
     own = {key: getattr(thing, key) for key in DECLARATIONS if hasattr(thing, key)}

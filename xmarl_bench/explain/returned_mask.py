@@ -10,7 +10,7 @@ from contextlib import suppress
 import torch
 from torch import Tensor
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, a_type
 
 FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
@@ -30,7 +30,7 @@ def as_floats(name: str, mask: object, expected: tuple[int, ...]) -> Tensor:
     """The mask, detached. Raises InputError unless it is a floating-point tensor of the expected shape."""
     if not isinstance(mask, Tensor):
         raise InputError(
-            f"explainer {name!r} returned a {type(mask).__name__}: return a torch.Tensor of shape {expected}."
+            f"explainer {name!r} returned {a_type(mask)}: return a torch.Tensor of shape {expected}."
         )
     mask = _plain(name, mask)
     kinds = {"sparse": mask.layout != torch.strided, "nested": mask.is_nested, "meta": mask.is_meta,
@@ -59,8 +59,7 @@ def _plain(name: str, mask: Tensor) -> Tensor:
         if type(plain) is Tensor:
             return plain
     raise InputError(
-        f"explainer {name!r} returned a {type(mask).__name__}, which is not a plain tensor: return a "
-        f"torch.Tensor."
+        f"explainer {name!r} returned {a_type(mask)}, which is not a plain tensor: return a torch.Tensor."
     )
 
 

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from safetensors.torch import save
 from torch import nn
 
-from xmarl_bench.errors import InputError, failures_named, whole_number
+from xmarl_bench.errors import InputError, a_type, failures_named, whole_number
 from xmarl_bench.origin.plugins import origin_of_plugin
 from xmarl_bench.origin.references import Origin, load_reference
 from xmarl_bench.plugins.names import places_of_plugin
@@ -47,8 +47,7 @@ def open_module(module: PolicyModule, origin: Origin) -> tuple[ModulePolicy, Pol
     """
     if not isinstance(module.network, nn.Module):
         raise InputError(
-            f"the network of policy {module.name!r} is a {type(module.network).__name__}: "
-            f"give a torch module."
+            f"the network of policy {module.name!r} is {a_type(module.network)}: give a torch module."
         )
     if not (isinstance(module.task, str) or callable(module.task)):
         raise InputError(f"policy {module.name!r} has task {module.task!r}: give a name or a function.")
@@ -96,14 +95,12 @@ def _made(factory: object, name: str) -> PolicyModule:
     """What the factory returns. Raises InputError if it fails or returns anything but a PolicyModule."""
     if not callable(factory):
         raise InputError(
-            f"policy {name!r} is a {type(factory).__name__}: give a function that returns a PolicyModule."
+            f"policy {name!r} is {a_type(factory)}: give a function that returns a PolicyModule."
         )
     with failures_named(f"policy {name!r} could not be made", "correct its factory"):
         made = factory()
     if not isinstance(made, PolicyModule):
-        raise InputError(
-            f"policy {name!r} is a {type(made).__name__}: make its factory return a PolicyModule."
-        )
+        raise InputError(f"policy {name!r} is {a_type(made)}: make its factory return a PolicyModule.")
     return made
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, a_type
 from xmarl_bench.policy.benchmarl import Settings
 from xmarl_bench.policy.network import ACTIVATIONS
 from xmarl_bench.policy.pickled_records import PickledName, PickledRecord, read_records
@@ -111,4 +111,4 @@ def _name(value: Any) -> str:
     """Of a class, or a text. Any other value of a hostile file may be too large to show."""
     if isinstance(value, PickledName):
         return value.name
-    return shown(value) if isinstance(value, str) else f"a {type(value).__name__}"
+    return shown(value) if isinstance(value, str) else a_type(value)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from xmarl_bench.errors import InputError, failures_named
+from xmarl_bench.errors import InputError, a_type, failures_named
 from xmarl_bench.policy.interventions import SAME
 from xmarl_bench.policy.messages import Call, followed
 from xmarl_bench.policy.recurrent import call, initial_state, is_recurrent
@@ -51,7 +51,7 @@ class Trial:
         output = first[..., : first.shape[-1] - self.memory_dim] if isinstance(first, Tensor) else first
         if not isinstance(output, Tensor) or tuple(output.shape) != expected:
             is_tensor = isinstance(output, Tensor)
-            got = f"shape {tuple(output.shape)}" if is_tensor else f"a {type(output).__name__}"
+            got = f"shape {tuple(output.shape)}" if is_tensor else a_type(output)
             raise InputError(
                 f"{self.name} returned {got} for {expected[0]} agents: return {expected}, {holds}."
             )

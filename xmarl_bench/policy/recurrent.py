@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeGuard
 import torch
 from torch import Tensor, nn
 
-from xmarl_bench.errors import InputError, failures_named
+from xmarl_bench.errors import InputError, a_type, failures_named
 
 State = Tensor | tuple[Tensor, ...]
 
@@ -52,7 +52,7 @@ def run(network: nn.Module, x: Tensor, edge_index: Tensor) -> Tensor:
     with failures_named(f"{name} failed on {len(x)} agents", "correct the network"):
         output = call(network, x, edge_index)
     if not isinstance(output, Tensor) or output.dim() != 2 or len(output) != len(x):
-        got = f"shape {tuple(output.shape)}" if isinstance(output, Tensor) else f"a {type(output).__name__}"
+        got = f"shape {tuple(output.shape)}" if isinstance(output, Tensor) else a_type(output)
         raise InputError(f"{name} returned {got} for {len(x)} agents: return a row for each agent.")
     return output
 
@@ -91,7 +91,7 @@ def _parts(network: object, method: str, state: Any, n: int) -> list[Tensor]:
     for part in parts:
         if not (isinstance(part, Tensor) and part.is_floating_point() and part.dim() == 2 and len(part) == n):
             is_tensor = isinstance(part, Tensor)
-            got = f"{tuple(part.shape)} of {part.dtype}" if is_tensor else f"a {type(part).__name__}"
+            got = f"{tuple(part.shape)} of {part.dtype}" if is_tensor else a_type(part)
             raise InputError(
                 f"{method} of {type(network).__name__} returned {got} as a state of {n} agents: return "
                 f"floating-point numbers ({n}, h), or a tuple of such."

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 from torch.nn.parameter import is_lazy
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, a_type
 
 EXTRA_STATE: Final = "_extra_state"  # torch's name in a state dict for what `get_extra_state` returns
 
@@ -40,6 +40,6 @@ def check_tensors(network: nn.Module, name: str) -> None:
     for key, value in network.state_dict().items():
         if key.rpartition(".")[2] == EXTRA_STATE:
             raise InputError(
-                f"policy {name!r} keeps a {type(value).__name__} in {key!r} (get_extra_state) beside its "
+                f"policy {name!r} keeps {a_type(value)} in {key!r} (get_extra_state) beside its "
                 f"tensors: register it as a buffer."
             )

@@ -15,7 +15,7 @@ from typing import Any
 
 from xmarl_bench.entry.provenance import now
 from xmarl_bench.entry.schema import Entry
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, a_type
 from xmarl_bench.explain.adapters import as_explainer
 from xmarl_bench.explain.explainer import Explainer, on_device
 from xmarl_bench.isolation.conversation import Isolation, end_strangers
@@ -160,7 +160,7 @@ def _opened(
     loaded = isinstance(policy, tuple) and len(policy) == 2 and isinstance(policy[1], PolicyCard)
     if not (loaded or isinstance(policy, PolicyModule)):
         raise InputError(
-            f"a {type(policy).__name__} is not a policy to score: give a name, the folder of a bundle, the "
+            f"{a_type(policy)} is not a policy to score: give a name, the folder of a bundle, the "
             f"result of load_policy, or a network as PolicyModule."
         )
     if isolation is not None and (isinstance(policy, PolicyModule) or is_code_here(*policy)):

@@ -15,7 +15,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from xmarl_bench.errors import InputError
+from xmarl_bench.errors import InputError, a_type
 from xmarl_bench.reproducible import FRESH_SEEDS
 from xmarl_bench.tasks.interface import random_actions
 from xmarl_bench.tasks.parallel_task import Parallel, ParallelTask, foreign_code
@@ -35,7 +35,7 @@ def parallel_task(name: str, make_env: Callable[[int], Any], n_agents: int) -> P
         env = make_env(n_agents)
     if not isinstance(env, ParallelEnv):
         raise InputError(
-            f"task {name!r} is a {type(env).__name__}: make its function return a PettingZoo ParallelEnv."
+            f"task {name!r} is {a_type(env)}: make its function return a PettingZoo ParallelEnv."
         )
     try:
         task = _described(name, make_env, n_agents, env)

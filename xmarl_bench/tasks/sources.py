@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from xmarl_envs import TASKS, Task
 
-from xmarl_bench.errors import InputError, unknown
+from xmarl_bench.errors import InputError, a_type, unknown
 from xmarl_bench.origin.plugins import load_plugin, origin_of_plugin, plugins_by_name
 from xmarl_bench.origin.references import Origin, check_named, is_reference, load_reference, origin_of
 from xmarl_bench.records.field_types import is_file_name
@@ -164,7 +164,7 @@ def open_factory(factory: object, origin: Origin, name: str | None) -> TaskSourc
     chosen = str(own.name if own else name or getattr(factory, "__name__", type(factory).__name__))
     if not callable(factory) or (isinstance(factory, type) and own is None):
         raise InputError(
-            f"task {chosen!r} ({origin.entry_point}) is a {type(factory).__name__}: give a subclass of "
+            f"task {chosen!r} ({origin.entry_point}) is {a_type(factory)}: give a subclass of "
             f"xmarl_envs.Task, or a function of a team size that returns a PettingZoo ParallelEnv."
         )
     try:

@@ -80,7 +80,7 @@ def test_parameters_are_recognised_by_name() -> None:
         (lambda observations, policy, seed: observations, r"takes \(observations, policy, seed\)"),
         (lambda: None, r"takes \(nothing\)"),
         (max, "has no readable signature"),
-        (7, "a int is not an explainer"),
+        (7, "an int is not an explainer"),
         (None, "a NoneType is not an explainer"),
         ("attention", "a str is not an explainer"),
     ],

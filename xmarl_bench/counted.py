@@ -1,6 +1,8 @@
-"""Numbers with their noun."""
+"""Numbers with their noun, and the first of many names."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 
 def counted(number: int, noun: str) -> str:
@@ -8,3 +10,9 @@ def counted(number: int, noun: str) -> str:
     if number == 1:
         return f"1 {noun}"
     return f"{number} {noun[:-1]}ies" if noun.endswith("y") else f"{number} {noun}s"
+
+
+def first_of(names: Sequence[str], most: int) -> str:
+    """At most so many of the names, and how many more there are: "a, b and 3 more"."""
+    listed = ", ".join(names[:most])
+    return f"{listed} and {len(names) - most} more" if len(names) > most else listed

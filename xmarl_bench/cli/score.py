@@ -198,6 +198,7 @@ def score(
 def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> list[InputError]:
     """Scores and prints; the errors of the explainers that failed somewhere, one each."""
     from xmarl_bench.cli.fitted_table import print_table
+    from xmarl_bench.counted import first_of
     from xmarl_bench.meta.planted_suite import (
         PlantedScore,
         agreement,
@@ -237,7 +238,7 @@ def _score_planted(explainers: Sequence[Explainer], seed: int, out: Path) -> lis
         if each.error is not None:
             errors.setdefault(each.explainer, []).append(each)
     failed = []
-    for first, *others in errors.values():
-        more = f" and {len(others)} more" if others else ""
-        failed.append(InputError(f"on {first.family} of {first.n_agents}{more}: {first.error}"))
+    for scores in errors.values():
+        graphs = first_of([f"{each.family} of {each.n_agents}" for each in scores], 1)
+        failed.append(InputError(f"on {graphs}: {scores[0].error}"))
     return failed

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from xmarl_bench.cli.fitted_table import cell
+from xmarl_bench.counted import first_of
 from xmarl_bench.errors import InputError
 from xmarl_bench.records.markdown import markdown_table
 
@@ -75,8 +76,7 @@ def exit_for_failures(failed: Sequence[Failed | InputError], total: int) -> None
         else:
             alike.setdefault(each.error, []).append(each.name)
     for error, names in alike.items():
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        print(f"failed: {', '.join(names[:NAMED])}{more}: {error}", file=sys.stderr)
+        print(f"failed: {first_of(names, NAMED)}: {error}", file=sys.stderr)
     print(
         f"{len(failed)} of {total} failed; everything else is done. The same command tries them again.",
         file=sys.stderr,

@@ -31,6 +31,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load as load_safetensors
 from torch import Tensor
 
+from xmarl_bench.counted import first_of
 from xmarl_bench.errors import InputError
 from xmarl_bench.policy.architecture import Architecture, BundledArchitecture, LayeredArchitecture
 from xmarl_bench.policy.card import parse_record
@@ -279,5 +280,4 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
 
 
 def _some(names: list[str]) -> str:
-    listed = ", ".join(shown(name).strip("'") for name in names[:SHOWN])
-    return f"{listed} and {len(names) - SHOWN} more" if len(names) > SHOWN else listed
+    return first_of([shown(name).strip("'") for name in names], SHOWN)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from xmarl_bench.counted import counted
+from xmarl_bench.counted import first_of
 from xmarl_bench.entry.partial import partial_reason
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.plugins.names import shipped_policies
@@ -13,7 +13,7 @@ from xmarl_bench.policy.default_policies import default_policies
 
 
 def coverage_remarks(entries: Iterable[Entry]) -> Iterator[str]:
-    """A sentence for each explainer without whole scores on all of the protocol's policies.
+    """A sentence for all explainers that lack whole scores on the same of the protocol's policies.
 
     These are the default policies among the shipped ones, in teams of the size that they were trained for.
     """
@@ -28,11 +28,14 @@ def coverage_remarks(entries: Iterable[Entry]) -> Iterator[str]:
             for cell in entry.results
         ):
             of.add(policy.weights_sha256)
+    alike: dict[tuple[str, ...], list[str]] = {}
     for name, of in sorted(scored.items()):
-        missing = [card.name for card in cards if card.weights_sha256 not in of]
+        missing = tuple(card.name for card in cards if card.weights_sha256 not in of)
+        alike.setdefault(missing, []).append(name)
+    for missing, names in alike.items():
         if missing:
-            others = f" and {counted(len(missing) - 1, 'other')}" if len(missing) > 1 else ""
             yield (
-                f"{name} has whole scores on {len(cards) - len(missing)} of the protocol's {len(cards)} "
-                f"policies, none on {missing[0]}{others}: valid, but not ranked over all policies."
+                f"whole scores of {first_of(names, 3)} are on {len(cards) - len(missing)} of the protocol's "
+                f"{len(cards)} policies, none on {first_of(missing, 1)}: valid, but not ranked over all "
+                f"policies."
             )

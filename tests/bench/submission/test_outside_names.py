@@ -125,15 +125,19 @@ def test_an_explainer_scored_on_some_of_the_protocols_policies_is_pointed_out(tm
     ending = ": valid, but not ranked over all policies."
     n = len(cards)
     assert said() == [
-        f"few has whole scores on 0 of the protocol's {n} policies, none on {cards[0].name} and {n - 1} "
-        f"others{ending}",
-        f"one has whole scores on 1 of the protocol's {n} policies, none on {cards[1].name} and {n - 2} "
-        f"others{ending}",
+        f"whole scores of few are on 0 of the protocol's {n} policies, none on {cards[0].name} and {n - 1} "
+        f"more{ending}",
+        f"whole scores of one are on 1 of the protocol's {n} policies, none on {cards[1].name} and {n - 2} "
+        f"more{ending}",
     ]
+    for each in "few-2", "few-3", "few-4":
+        write(cards[0], each, 7)
+    assert said()[0].startswith("whole scores of few, few-2, few-3 and 1 more are on 0 of ")
+    assert len(said()) == 2
     for card in cards[1:-1]:
         write(card, "one")
     assert said()[1] == (
-        f"one has whole scores on {n - 1} of the protocol's {n} policies, none on {cards[-1].name}{ending}"
+        f"whole scores of one are on {n - 1} of the protocol's {n} policies, none on {cards[-1].name}{ending}"
     )
     assert not any("whole scores" in each for each in check(next(tmp_path.glob("*.json"))).remarks)
 

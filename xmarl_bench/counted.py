@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+NAMED = 3  # of what shares a message
+
 
 def counted(number: int, noun: str) -> str:
     """`number` and the noun in the form that fits: "1 entry", "2 entries"."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from xmarl_bench.cli.fitted_table import cell
-from xmarl_bench.counted import first_of
+from xmarl_bench.counted import NAMED, first_of
 from xmarl_bench.errors import InputError
 from xmarl_bench.records.markdown import markdown_table
 
@@ -54,9 +54,6 @@ def says_if_stopped(kept: Callable[[], str], cache: Path | None) -> Iterator[Non
         how = "" if cache is None else " The same command, without --no-resume, goes on from there."
         print(f"Kept: {kept()}{pieces}.{how}", file=sys.stderr, flush=True)
         raise
-
-
-NAMED = 3  # of what failed alike
 
 
 def exit_for_failures(failed: Sequence[Failed | InputError], total: int) -> None:

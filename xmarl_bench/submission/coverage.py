@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from xmarl_bench.counted import first_of
+from xmarl_bench.counted import NAMED, first_of
 from xmarl_bench.entry.partial import partial_reason
 from xmarl_bench.entry.schema import Entry
 from xmarl_bench.plugins.names import shipped_policies
@@ -35,7 +35,7 @@ def coverage_remarks(entries: Iterable[Entry]) -> Iterator[str]:
     for missing, names in alike.items():
         if missing:
             yield (
-                f"whole scores of {first_of(names, 3)} are on {len(cards) - len(missing)} of the protocol's "
-                f"{len(cards)} policies, none on {first_of(missing, 1)}: valid, but not ranked over all "
-                f"policies."
+                f"whole scores of {first_of(names, NAMED)} are on {len(cards) - len(missing)} of the "
+                f"protocol's {len(cards)} policies, none on {first_of(missing, 1)}: valid, but not ranked "
+                f"over all policies."
             )

@@ -122,7 +122,6 @@ RECIPES: dict[str, Recipe] = {
         n_epochs=4,
         batch_size=1500,
         learning_rate=1e-3,
-        saturation_penalty=0.1,
         shaping=Shaping(scale=0.05, agent_penalty=6.0, wall_penalty=1.5, through_gap=True),
         caution_growth=2.0,
     ),
@@ -148,8 +147,8 @@ NAVIGATION_ON_TIME = replace(RECIPES["blind_navigation_v0"].shaping, time_penalt
 
 # What a family changes for teams of at least this size, in ascending order.
 #
-# `residual`: navigation takes longer to learn. In passage teams of five need time to cost something, and a
-# penalty for touching that stays as it is.
+# `residual`: navigation takes longer to learn. In passage teams of five need time to cost something and a
+# steady penalty for touching, and their raw actions can grow without end.
 #
 # `paper`: in navigation agents wait for one another if time costs nothing, and larger teams learn little with
 # minibatches of 900. Passage's penalties keep the team from the gap (0.02 success after 9.6 M frames without
@@ -158,7 +157,14 @@ NAVIGATION_ON_TIME = replace(RECIPES["blind_navigation_v0"].shaping, time_penalt
 CHANGES: dict[Family, dict[str, dict[int, dict[str, Any]]]] = {
     "residual": {
         "blind_navigation_v0": {4: {"frames": 7_200_000}, 5: {"frames": 9_600_000}},
-        "blind_passage_v0": {5: {"frames": 7_200_000, "shaping": PASSAGE_ON_TIME, "caution_growth": 1.0}},
+        "blind_passage_v0": {
+            5: {
+                "frames": 7_200_000,
+                "shaping": PASSAGE_ON_TIME,
+                "caution_growth": 1.0,
+                "saturation_penalty": 0.1,
+            }
+        },
         "blind_discovery_v0": {},
     },
     "paper": {
@@ -171,6 +177,7 @@ CHANGES: dict[Family, dict[str, dict[int, dict[str, Any]]]] = {
                 "frames": 7_200_000,
                 "shaping": replace(PASSAGE_ON_TIME, agent_penalty=3.0, wall_penalty=0.5),
                 "caution_growth": 1.0,
+                "saturation_penalty": 0.1,
                 "saturation_deviations": 1.0,
             }
         },

@@ -62,6 +62,7 @@ def test_larger_teams_change_the_recipe_of_their_family() -> None:
     assert four == recipe_for("blind_passage_v0")
     assert (four.shaping.time_penalty, four.shaping.arrival_bonus, four.caution_growth) == (0.0, 0.0, 2.0)
     assert (five.shaping.time_penalty, five.shaping.arrival_bonus, five.caution_growth) == (0.2, 20.0, 1.0)
+    assert (four.saturation_penalty, five.saturation_penalty) == (0.0, 0.1)
     for task in ("blind_passage_v0", "blind_discovery_v0"):
         assert len({str(recipe_for(task, n, family="paper")) for n in (2, 3, 4, 5)}) == 1
     paper = [recipe_for("blind_navigation_v0", n, family="paper") for n in (3, 4, 5, 8)]

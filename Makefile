@@ -90,6 +90,9 @@ rescore: $(STAMP)  ## Score all on all into leaderboard/, verify every entry, th
 board: $(STAMP)  ## Build the page, its animations and the documents from leaderboard/entries
 	$(BIN)/xmarl-bench board build leaderboard --animations
 	for each in ranking findings scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
+	for family in residual paper; do $(BIN)/xmarl-bench study main --entries leaderboard --policy $$family \
+		--out study/main-$$family || exit 1; done
+	$(BIN)/python -m xmarl_bench.papers.kailas2025.reproduction study/main-residual study/main-paper
 
 docs: $(STAMP)  ## Build the documentation site into site/
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt 'mkdocs<2' mkdocs-material

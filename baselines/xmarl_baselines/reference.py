@@ -25,7 +25,7 @@ EPISODES = 200  # to measure policies; scoring plays the first 50 of them
 LAMBDAS: dict[Family, dict[str, dict[int, float]]] = {
     "residual": {
         "blind_navigation_v0": {1: 0.1},
-        "blind_passage_v0": {1: 0.04, 4: 0.03, 5: 0.04},
+        "blind_passage_v0": {1: 0.04},
         "blind_discovery_v0": {1: 0.03},
     },
     "paper": {

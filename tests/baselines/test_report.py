@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 import torch
 from xmarl_baselines import independent_ppo, ship
-from xmarl_baselines.policies import HERE, shipped_policies
+from xmarl_baselines.policies import HERE
 from xmarl_baselines.reference import reference_runs
 from xmarl_baselines.report import READMES, cell_rows, draw, filled, final, policy_rows, shipped_cards
+from xmarl_baselines.training.trainer import Run
 
 from xmarl_bench.papers.kailas2025.paper import MAIN
 from xmarl_bench.policy import PolicyCard
 from xmarl_bench.policy.card import load_card
-from xmarl_bench.policy.default_policies import is_checkpoint
 
 
 @pytest.mark.parametrize("readme", READMES, ids=lambda path: path.parent.name)
@@ -85,9 +85,11 @@ def test_independent_agents_ignore_messages() -> None:
     torch.testing.assert_close(policy.distribution(x).action.reshape(-1, 2), torch.from_numpy(sb3))
 
 
-def test_every_reference_run_is_shipped() -> None:
-    finished = {name for name, folder in shipped_policies().items() if not is_checkpoint(load_card(folder))}
-    assert finished == reference_runs().keys()
+def test_what_is_shipped_is_what_is_planned_setting_for_setting() -> None:
+    shipped = {card.name: Run.from_settings(card.training) for card in final(shipped_cards())}
+    planned = reference_runs()
+    assert shipped.keys() == planned.keys()
+    assert [name for name, run in shipped.items() if run != planned[name]] == []
 
 
 def test_checkpoints_are_the_validations_nearest_to_their_percentage() -> None:

@@ -147,8 +147,9 @@ NAVIGATION_ON_TIME = replace(RECIPES["blind_navigation_v0"].shaping, time_penalt
 
 # What a family changes for teams of at least this size, in ascending order.
 #
-# `residual`: navigation takes longer to learn. In passage teams of five need time to cost something and a
-# steady penalty for touching, and their raw actions can grow without end.
+# `residual`: navigation takes longer to learn. In passage agents of larger teams wait unless time costs
+# something; four then bear a penalty for touching that grows threefold, five only a steady one. Raw actions
+# can grow without end.
 #
 # `paper`: in navigation agents wait for one another if time costs nothing, and larger teams learn little with
 # minibatches of 900. Passage's penalties keep the team from the gap (0.02 success after 9.6 M frames without
@@ -158,12 +159,13 @@ CHANGES: dict[Family, dict[str, dict[int, dict[str, Any]]]] = {
     "residual": {
         "blind_navigation_v0": {4: {"frames": 7_200_000}, 5: {"frames": 9_600_000}},
         "blind_passage_v0": {
-            5: {
+            4: {
                 "frames": 7_200_000,
                 "shaping": PASSAGE_ON_TIME,
-                "caution_growth": 1.0,
+                "caution_growth": 3.0,
                 "saturation_penalty": 0.1,
-            }
+            },
+            5: {"caution_growth": 1.0},
         },
         "blind_discovery_v0": {},
     },

@@ -58,11 +58,12 @@ def test_family_paper_has_penalties_and_epochs_of_its_own() -> None:
 def test_larger_teams_change_the_recipe_of_their_family() -> None:
     navigation = [recipe_for("blind_navigation_v0", n).frames for n in (3, 4, 5, 8)]
     assert navigation == [4_800_000, 7_200_000, 9_600_000, 9_600_000]
-    four, five = recipe_for("blind_passage_v0", 4), recipe_for("blind_passage_v0", 5)
-    assert four == recipe_for("blind_passage_v0")
-    assert (four.shaping.time_penalty, four.shaping.arrival_bonus, four.caution_growth) == (0.0, 0.0, 2.0)
-    assert (five.shaping.time_penalty, five.shaping.arrival_bonus, five.caution_growth) == (0.2, 20.0, 1.0)
-    assert (four.saturation_penalty, five.saturation_penalty) == (0.0, 0.1)
+    three, four, five = (recipe_for("blind_passage_v0", n) for n in (3, 4, 5))
+    assert (three.shaping.time_penalty, three.shaping.arrival_bonus) == (0.0, 0.0)
+    assert (five.shaping.time_penalty, five.shaping.arrival_bonus) == (0.2, 20.0)
+    assert (three.saturation_penalty, five.saturation_penalty) == (0.0, 0.1)
+    assert [recipe.caution_growth for recipe in (three, four, five)] == [2.0, 3.0, 1.0]
+    assert four == replace(five, caution_growth=3.0)
     for task in ("blind_passage_v0", "blind_discovery_v0"):
         assert len({str(recipe_for(task, n, family="paper")) for n in (2, 3, 4, 5)}) == 1
     paper = [recipe_for("blind_navigation_v0", n, family="paper") for n in (3, 4, 5, 8)]

@@ -91,7 +91,7 @@ board: $(STAMP)  ## Build the page, its animations and the documents from leader
 	$(BIN)/xmarl-bench board build leaderboard --animations
 	for each in ranking findings scaling metrics meta; do $(BIN)/python docs/make_$$each.py || exit 1; done
 	for family in residual paper; do $(BIN)/xmarl-bench study main --entries leaderboard --policy $$family \
-		--out study/main-$$family || exit 1; done
+		--no-figures --out study/main-$$family || exit 1; done
 	$(BIN)/python -m xmarl_bench.papers.kailas2025.reproduction study/main-residual study/main-paper
 
 docs: $(STAMP)  ## Build the documentation site into site/

@@ -142,6 +142,7 @@ RECIPES: dict[str, Recipe] = {
 
 # For teams that wait for one another for ever, or park a little too far from their goals.
 PASSAGE_ON_TIME = replace(RECIPES["blind_passage_v0"].shaping, arrival_bonus=20.0, time_penalty=0.2)
+WITHOUT_WAITING = {"frames": 7_200_000, "shaping": PASSAGE_ON_TIME, "saturation_penalty": 0.1}
 NAVIGATION_ON_TIME = replace(RECIPES["blind_navigation_v0"].shaping, time_penalty=0.02)
 
 
@@ -159,12 +160,7 @@ CHANGES: dict[Family, dict[str, dict[int, dict[str, Any]]]] = {
     "residual": {
         "blind_navigation_v0": {4: {"frames": 7_200_000}, 5: {"frames": 9_600_000}},
         "blind_passage_v0": {
-            4: {
-                "frames": 7_200_000,
-                "shaping": PASSAGE_ON_TIME,
-                "caution_growth": 3.0,
-                "saturation_penalty": 0.1,
-            },
+            4: {**WITHOUT_WAITING, "caution_growth": 3.0},
             5: {"caution_growth": 1.0},
         },
         "blind_discovery_v0": {},
@@ -176,10 +172,9 @@ CHANGES: dict[Family, dict[str, dict[int, dict[str, Any]]]] = {
         },
         "blind_passage_v0": {
             1: {
-                "frames": 7_200_000,
+                **WITHOUT_WAITING,
                 "shaping": replace(PASSAGE_ON_TIME, agent_penalty=3.0, wall_penalty=0.5),
                 "caution_growth": 1.0,
-                "saturation_penalty": 0.1,
                 "saturation_deviations": 1.0,
             }
         },

@@ -142,5 +142,5 @@ def study(
     for absent in results["missing"]:
         print(f"missing: {absent}")
     print(f"{counted(len(verdicts), 'statement')} of the paper: {by_verdict}.")
-    print(f"{counted(len(pairs), 'entry')}; results.json, tables/, figures/ and tables.html in {folder}.")
+    print(f"{counted(len(pairs), 'entry')}; look at {folder / 'report.html'}.")
     tables.exit_for_failures(failed, len(not_loaded) + len(requests))

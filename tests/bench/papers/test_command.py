@@ -64,6 +64,7 @@ def test_the_main_study_writes_results(run_cli: RunCli, tmp_path: Path) -> None:
     assert improved["overall"][0]["n_episodes"] == 3
     assert "missing: passage, N = 3, with the term" in ran.out
     assert "35 statements of the paper: " in ran.out
+    assert f"look at {out / 'report.html'}." in ran.out and (out / "report.html").exists()
     before = (out / "results.json").read_bytes()
     again = run(run_cli, "main", folders, out, "--no-figures")
     assert again.code == 0, again.err
